@@ -73,6 +73,10 @@ pub const WRONG_WAY_FACTOR: f64 = 0.5;
 /// Factor on the driving score for more than [`WRONG_WAY_FAR_M`], as in nuPlan.
 pub const WRONG_WAY_FAR_FACTOR: f64 = 0.0;
 
+/// Share of the reference's way that is all of it where the scenario's story ended an episode. Our
+/// choice: the reference has nobody before it.
+pub const STORY_SHARE: f64 = 0.5;
+
 /// Score of an episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeScore {
@@ -84,13 +88,18 @@ pub struct EpisodeScore {
     /// done.
     pub route_completion: f64,
     /// Share of the route that counts in the driving score: 1 where a collision ended the episode
-    /// that was not the ego's fault, otherwise [`Self::route_completion`].
+    /// that was not the ego's fault; where the scenario's story ended it, the ego's way as a share
+    /// of [`STORY_SHARE`] of the reference's until then, at most 1; otherwise
+    /// [`Self::route_completion`].
     pub counted_completion: f64,
+    /// True if a collision ended the episode that was not the ego's fault.
+    pub ended_by_other: bool,
     /// [`Self::counted_completion`] times [`COLLISION_FACTOR`], [`PEDESTRIAN_FACTOR`],
     /// [`OBSTACLE_FACTOR`], [`LAYOUT_FACTOR`], [`WRONG_WAY_FACTOR`], [`WRONG_WAY_FAR_FACTOR`],
     /// [`RED_LIGHT_FACTOR`] or [`STOP_SIGN_FACTOR`] for each infraction.
     pub driving_score: f64,
-    /// True if the route was completed without an infraction of the ego.
+    /// True if the route was completed without an infraction of the ego, or the scenario's story
+    /// ended the episode when all of what counts was driven.
     pub success: bool,
     /// Infractions, in the order of time.
     pub infractions: Vec<Infraction>,
@@ -116,20 +125,27 @@ impl EpisodeScore {
     /// The score of `episode`.
     #[must_use]
     pub fn new(episode: &Episode) -> Self {
-        let done = episode.end == EpisodeEnd::RouteDone;
+        let of_story = reference::share_of_story(episode);
         let route_completion = progress::route_completion(episode);
         let infractions = infractions::infractions(episode);
         let factor: f64 = infractions.iter().map(Infraction::factor).product();
         let (closest, ttc_short_share) = time_to_collision::closest(episode);
-        let counted_completion = match ended_by_other(episode, &infractions) {
-            true => 1.0,
-            false => route_completion,
+        let ended_by_other = ended_by_other(episode, &infractions);
+        let counted_completion = match of_story {
+            _ if ended_by_other => 1.0,
+            Some(share) => (share / STORY_SHARE).min(1.0),
+            None => route_completion,
+        };
+        let done = match of_story {
+            Some(share) => share >= STORY_SHARE,
+            None => episode.end == EpisodeEnd::RouteDone,
         };
         Self {
             scenario: episode.head.scenario.name.clone(),
             level: episode.head.scenario.level,
             route_completion,
             counted_completion,
+            ended_by_other,
             driving_score: counted_completion * factor,
             success: done && infractions.iter().all(|infraction| !infraction.at_fault()),
             infractions,
@@ -187,12 +203,6 @@ impl EpisodeScore {
     #[must_use]
     pub fn wrong_ways(&self) -> usize {
         self.count(|kind| matches!(kind, InfractionKind::WrongWay { .. }))
-    }
-
-    /// True if a collision ended the episode that was not the ego's fault.
-    #[must_use]
-    pub fn ended_by_other(&self) -> bool {
-        self.counted_completion > self.route_completion
     }
 
     /// Stop signs that the ego passed without standing.

@@ -141,6 +141,12 @@ impl Traffic {
         stage.map_or_else(Vec::new, Stage::take_light_changes)
     }
 
+    /// True once the conditions of the story's end have held.
+    #[must_use]
+    pub fn story_is_over(&self) -> bool {
+        self.stage.as_ref().is_some_and(Stage::is_over)
+    }
+
     /// Adds stop and yield signs, which agents obey. Their lanes are those of the traffic's graph.
     #[must_use]
     pub fn with_signs(mut self, signs: Arc<TrafficSigns>) -> Self {

@@ -269,6 +269,8 @@ pub enum EpisodeEnd {
     OffRoad,
     /// The ego is farther from its route than any road user that follows it.
     OffRoute,
+    /// Conditions of the scenario's story ended it.
+    Story,
     /// The time is over.
     Time,
     /// The planner failed.

@@ -100,6 +100,7 @@ fn followed(way: &Trajectory, rate: f64) -> Action {
         points_m: poses.clone().map(place).collect(),
         seen_from: None,
         on_lanes: false,
+        places: Vec::new(),
         times_s: poses
             .map(|timed| (timed.time_s - way.start_s()) / rate)
             .collect(),

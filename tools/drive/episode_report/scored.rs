@@ -172,6 +172,7 @@ impl Scored {
             }
             EpisodeEnd::OffRoad => "off the road for good".into(),
             EpisodeEnd::OffRoute => "too far from the route".into(),
+            EpisodeEnd::Story => "end of the story".into(),
             EpisodeEnd::Time => "time over".into(),
             EpisodeEnd::Planner { reason } => format!("planner failed: {reason}"),
         }
@@ -236,8 +237,12 @@ impl Scored {
         let factors: String = self.score.infractions.iter().map(factor).collect();
         let lost = match &self.end {
             EpisodeEnd::RouteDone => "",
+            EpisodeEnd::Story => &format!(
+                " (counts as {:.3}: the story was over)",
+                self.score.counted_completion
+            ),
             EpisodeEnd::Time => " (time over)",
-            EpisodeEnd::Collision { .. } if self.score.ended_by_other() => {
+            EpisodeEnd::Collision { .. } if self.score.ended_by_other => {
                 " (counts as 1.000: ended by a collision that was not its fault)"
             }
             EpisodeEnd::Collision { .. } | EpisodeEnd::Obstacle { .. } => {

@@ -556,7 +556,7 @@ class StepResult(TypedDict):
     progress_m: float
     off_road_share: float
     time_s: float
-    end: Literal["route_done", "collision", "obstacle", "off_road", "off_route", "time", "planner"] | None
+    end: Literal["route_done", "collision", "obstacle", "off_road", "off_route", "story", "time", "planner"] | None
 
 class Rollout:
     """One episode, step by step: the ego does as it is told, traffic answers. The same steps give the same bits."""
@@ -606,7 +606,7 @@ class Rollout:
     def progress_m(self) -> tuple[float, float]:
         """Meters of the route that are behind the ego, and all of them."""
     @property
-    def end(self) -> Literal["route_done", "collision", "obstacle", "off_road", "off_route", "time", "planner"] | None:
+    def end(self) -> Literal["route_done", "collision", "obstacle", "off_road", "off_route", "story", "time", "planner"] | None:
         """Why it is over, if it is."""
     @property
     def steps(self) -> int:

@@ -184,7 +184,7 @@ class _Drive:
             "off_road": OFF_ROAD_REWARD * result["off_road_share"],
             "collision": COLLISION_REWARD * (result["end"] in ("collision", "obstacle")),
         }
-        terminated = result["end"] in ("route_done", "collision", "obstacle", "off_road", "off_route")
+        terminated = result["end"] in ("route_done", "collision", "obstacle", "off_road", "off_route", "story")
         truncated = result["end"] == "time"
         info = {"reward": parts, "end": result["end"], "time_s": result["time_s"], "score": self.rollout.score()}
         return float(sum(parts.values())), terminated, truncated, info

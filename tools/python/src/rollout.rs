@@ -70,6 +70,7 @@ fn name_of(end: &EpisodeEnd) -> &'static str {
         EpisodeEnd::Obstacle { .. } => "obstacle",
         EpisodeEnd::OffRoad => "off_road",
         EpisodeEnd::OffRoute => "off_route",
+        EpisodeEnd::Story => "story",
         EpisodeEnd::Time => "time",
         EpisodeEnd::Planner { .. } => "planner",
     }

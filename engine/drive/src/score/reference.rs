@@ -42,12 +42,18 @@ impl ReferenceProgress {
                 share: score.route_completion,
             };
         };
-        let end_s = episode.instants().last().map_or(0.0, |tick| tick.time_s);
+        let end_s = end_s(episode);
         let time_s = match episode.end {
-            EpisodeEnd::Time | EpisodeEnd::RouteDone => end_s,
-            _ if score.ended_by_other() => end_s,
+            EpisodeEnd::Time | EpisodeEnd::Story | EpisodeEnd::RouteDone => end_s,
+            _ if score.ended_by_other => end_s,
             _ => episode.head.scenario.duration_s.max(end_s),
         };
+        Self::until(episode, time_s, (driven_m, length_m))
+    }
+
+    /// Progress against the reference's at `time_s`, seconds, after `driven_m` of a route of
+    /// `length_m`.
+    fn until(episode: &Episode, time_s: f64, (driven_m, length_m): (f64, f64)) -> Self {
         let reference = reference(episode, length_m);
         let reference_m = reference.map_or(length_m, |drive| drive.progress_m(time_s));
         let reference_m = reference_m.min(length_m);
@@ -62,6 +68,21 @@ impl ReferenceProgress {
             share,
         }
     }
+}
+
+/// The ego's way as a share of the reference's, 0 to 1, where the scenario's story ended the
+/// episode; `None` where something else did or the route is no line.
+pub(super) fn share_of_story(episode: &Episode) -> Option<f64> {
+    if episode.end != EpisodeEnd::Story {
+        return None;
+    }
+    let ways = driven_m(episode)?;
+    Some(ReferenceProgress::until(episode, end_s(episode), ways).share)
+}
+
+/// Time of the last moment of an episode, seconds.
+fn end_s(episode: &Episode) -> f64 {
+    episode.instants().last().map_or(0.0, |tick| tick.time_s)
 }
 
 /// The reference drive of an episode; `None` where its route is too long for one.

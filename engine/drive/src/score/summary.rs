@@ -182,7 +182,7 @@ impl SetSummary {
             collisions_at_fault: count(&at_fault),
             pedestrian_collisions: count(&EpisodeScore::pedestrian_collisions),
             obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
-            ended_by_others: count(&|score| usize::from(score.ended_by_other())),
+            ended_by_others: count(&|score| usize::from(score.ended_by_other)),
             wrong_ways: count(&EpisodeScore::wrong_ways),
             layout_infractions: count(&EpisodeScore::layout_infractions),
             red_lights: count(&EpisodeScore::red_lights),
@@ -201,7 +201,7 @@ impl SetSummary {
             (
                 "success rate",
                 self.success.mean,
-                self.route_completion.mean,
+                self.counted_completion.mean,
             ),
             (
                 "mean driving score",

@@ -58,6 +58,8 @@ pub(crate) struct Stage {
     seen: Vec<Option<Seen>>,
     past: Vec<Past>,
     acts: Vec<RunningAct>,
+    stop: Watch,
+    is_over: bool,
     events: Vec<RunningEvent>,
     courses: Vec<Course>,
     variables: HashMap<String, String>,
@@ -105,6 +107,8 @@ impl Stage {
             seen: std::iter::once(None).chain(seen).collect(),
             past: vec![Past::default(); movers.len() + 1],
             acts: acts.collect(),
+            stop: Watch::new(&story.stop),
+            is_over: false,
             events: events.collect(),
             courses: vec![Course::default(); story.events.len()],
             variables: story.variables.iter().cloned().collect(),
@@ -124,6 +128,11 @@ impl Stage {
     /// Takes the changes of lights since this was asked last.
     pub(crate) fn take_light_changes(&mut self) -> Vec<LightChangeRecord> {
         std::mem::take(&mut self.signals.changes)
+    }
+
+    /// True once the conditions of its end have held.
+    pub(crate) fn is_over(&self) -> bool {
+        self.is_over
     }
 
     /// States of the actors; `None` while one is hidden.
@@ -185,7 +194,7 @@ impl Stage {
         }
     }
 
-    /// Begins and ends acts and events.
+    /// Begins and ends acts and events, and then the story.
     fn direct(&mut self, time_s: f64) {
         let story = self.story.clone();
         for (at, act) in story.acts.iter().enumerate() {
@@ -236,6 +245,17 @@ impl Stage {
         }
         for number in 0..story.events.len() {
             self.close(&story, number, time_s);
+        }
+        if !story.stop.is_empty() {
+            let facts = facts(
+                &self.roads,
+                &self.seen,
+                &self.past,
+                &self.courses,
+                (&self.variables, &self.signals),
+                time_s,
+            );
+            self.is_over |= self.stop.holds(&story.stop, &facts);
         }
     }
 

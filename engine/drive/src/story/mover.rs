@@ -3,6 +3,7 @@
 mod across;
 mod along;
 mod attack;
+mod spring;
 
 use decouplegs_scene::story::{Action, Actor, Limits, Who};
 use decouplegs_scene::{VehicleSize, VehicleState};
@@ -157,11 +158,16 @@ impl Mover {
                 points_m,
                 seen_from,
                 on_lanes,
+                places,
                 times_s,
                 is_absolute,
             } => {
                 let from_s = if *is_absolute { 0.0 } else { time_s };
-                match line_of(points_m, *seen_from, *on_lanes, scene) {
+                let found = match places.as_slice() {
+                    [] => line_of(points_m, *seen_from, *on_lanes, scene),
+                    places => places.iter().map(|place| scene.place(place)).collect(),
+                };
+                match found {
                     Some(points_m) => self.follow_line(number, points_m, times_s, from_s, ended),
                     None => ended.push(number),
                 }

@@ -6,7 +6,7 @@ use decouplegs_scene::{LaneKind, LaneMap};
 use glam::DVec2;
 
 use crate::lane_index::LaneIndex;
-use crate::polyline::{Polyline, wrapped};
+use crate::polyline::{Foot, Polyline, wrapped};
 use crate::route::{LaneSpot, lanes_between};
 
 /// Distance from the middle of a lane within which an actor is on it, meters.
@@ -18,6 +18,13 @@ const ALONG_M: f64 = 2000.0;
 const LANES_MAX: usize = 1000;
 /// Way before and after a place over which the turn of its lane is measured, meters.
 const TURN_M: f64 = 2.0;
+/// Distance between the middles of lanes that count as one place, meters, and way over which the
+/// turns of such lanes are compared, meters.
+const SAME_LINE_M: f64 = 0.02;
+const AHEAD_M: f64 = 10.0;
+/// Steps along the reference line of a road, meters, and most of them.
+const ROAD_STEP_M: f64 = 2.0;
+const ROAD_STEPS_MAX: f64 = 500.0;
 /// A foot is beside its lane, not beyond its end, if it is off by no more, meters.
 const BESIDE_M: f64 = 0.5;
 
@@ -111,7 +118,8 @@ impl Roads {
     }
 
     /// The place of a point on the nearest lane: of those that lead its way if there is one, then
-    /// of those where vehicles drive. `None` off the road.
+    /// of those where vehicles drive, then of those that begin at one place, as at a junction, the
+    /// one that turns least. `None` off the road.
     pub(super) fn at(&self, point_m: DVec2, heading_rad: f64) -> Option<OnLane> {
         let near = self.index.lanes_near(point_m, ON_LANE_M);
         let rank = |lane: usize, foot_rad: f64| {
@@ -119,9 +127,24 @@ impl Roads {
             let is_driven = self.map.lanes[lane].kind == LaneKind::Driving;
             (u8::from(is_against), u8::from(!is_driven))
         };
+        let turn_rad = |lane: usize, foot: &Foot| {
+            let is_against = rank(lane, foot.heading_rad).0 == 1;
+            let (ahead_m, back_rad) = match is_against {
+                true => (-AHEAD_M, std::f64::consts::PI),
+                false => (AHEAD_M, 0.0),
+            };
+            self.line(lane).map_or(f64::INFINITY, |line| {
+                let later_rad = line.heading_at(foot.arc_m + ahead_m) + back_rad;
+                wrapped(later_rad - heading_rad).abs()
+            })
+        };
         let best = near.into_iter().min_by(|a, b| {
-            let nearer = a.foot.distance_m.total_cmp(&b.foot.distance_m);
-            let is_same = (a.foot.distance_m - b.foot.distance_m).abs() < 0.5;
+            let apart_m = (a.foot.distance_m - b.foot.distance_m).abs();
+            let nearer = match apart_m < SAME_LINE_M {
+                true => turn_rad(a.lane, &a.foot).total_cmp(&turn_rad(b.lane, &b.foot)),
+                false => a.foot.distance_m.total_cmp(&b.foot.distance_m),
+            };
+            let is_same = apart_m < 0.5;
             let by_rank = rank(a.lane, a.foot.heading_rad).cmp(&rank(b.lane, b.foot.heading_rad));
             if is_same {
                 by_rank.then(nearer)
@@ -210,6 +233,70 @@ impl Roads {
         let share = 1.0 - turn_rad / (2.0 * TURN_M) * place.left_m;
         // Nearer to the middle of a bend than its lines tell.
         way_m / share.max(0.1)
+    }
+
+    /// Moves a place by `ahead_m` along the reference line of its road, the way it goes. Returns
+    /// false at the end of the lanes.
+    pub(super) fn advance_on_road(&self, place: &mut OnLane, ahead_m: f64) -> bool {
+        let parts = (ahead_m.abs() / ROAD_STEP_M)
+            .ceil()
+            .clamp(1.0, ROAD_STEPS_MAX);
+        for _ in 0..parts as u32 {
+            let reference = OnLane {
+                left_m: self.reference_left_m(place),
+                ..*place
+            };
+            let middle_m = self.along_middle_m(&reference, ahead_m / parts);
+            if !self.advance(place, middle_m, &[]) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// 1 for a place that goes the way of its road's reference line, otherwise -1: ids of lanes grow
+    /// to the left of that line. On a road of one lane, traffic keeps to the right.
+    pub(super) fn road_sign(&self, place: &OnLane) -> f64 {
+        let own = parts(&self.map.lanes[place.lane].id);
+        let Some(((_, id), (lanes, at))) = own.zip(self.across(place)) else {
+            return 1.0;
+        };
+        let id_of = |at: usize| parts(&self.map.lanes[lanes[at].1].id).map(|(_, id)| id);
+        let grows = match (at.checked_sub(1).and_then(id_of), lanes.get(at + 1)) {
+            (Some(right), _) => id > right,
+            (None, Some(_)) => id_of(at + 1).is_some_and(|left| left > id),
+            (None, None) => (id < 0) != place.is_against,
+        };
+        if grows { 1.0 } else { -1.0 }
+    }
+
+    /// How far the reference line of a road is to the left of the middle of a lane, meters: that is
+    /// the border between the lanes of both directions. 0 where there are no such lanes.
+    fn reference_left_m(&self, place: &OnLane) -> f64 {
+        let along = OnLane {
+            is_against: false,
+            ..*place
+        };
+        let own = parts(&self.map.lanes[place.lane].id);
+        let is_along = self.road_sign(&along) > 0.0;
+        let keeps_right = own.is_none_or(|(_, id)| (id < 0) == is_along);
+        let first = |id: i64| {
+            let lane = &self.map.lanes[self.by_number(place, id)?];
+            let borders = match keeps_right {
+                true => &lane.left,
+                false => &lane.right,
+            };
+            Polyline::new(borders.iter().copied())
+        };
+        let Some(line) = first(-1).or_else(|| first(1)) else {
+            return 0.0;
+        };
+        let (point_m, heading_rad) = self.pose(&OnLane {
+            left_m: 0.0,
+            ..along
+        });
+        let foot_m = line.project(point_m).point.truncate();
+        DVec2::from_angle(heading_rad).perp_dot(foot_m - point_m)
     }
 
     /// Lanes beside a place, by how far their middles are to the left of the way it goes, the

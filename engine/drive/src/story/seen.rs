@@ -1,6 +1,6 @@
 //! Road users of a story as others see them, and distances between them.
 
-use decouplegs_scene::story::{Direction, End, Spot, Who};
+use decouplegs_scene::story::{Direction, End, Place, Spot, Who};
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -107,17 +107,60 @@ impl Scene<'_> {
                 who,
                 lanes,
                 ahead_m,
+                on_road,
                 left_m,
             } => {
-                let seen = self.get(who)?;
-                let own = seen.place?;
+                let own = self.get(who)?.place?;
                 let (point_m, heading_rad) = self.roads.pose(&own);
-                let lane = self.roads.beside(&own, lanes)?;
+                let sign = if on_road {
+                    self.roads.road_sign(&own)
+                } else {
+                    1.0
+                };
+                let lane = self.roads.beside(&own, sign as i64 * lanes)?;
                 // Left and ahead are those of the road user, also on a lane that runs against it.
                 let mut place = self.roads.on(lane, point_m, heading_rad)?;
-                place.left_m = place.sign() * left_m.unwrap_or(own.sign() * own.left_m);
-                self.roads.advance(&mut place, ahead_m, &[]);
+                let left_m = left_m.map_or(own.sign() * own.left_m, |left_m| sign * left_m);
+                place.left_m = place.sign() * left_m;
+                if on_road {
+                    self.roads.advance_on_road(&mut place, sign * ahead_m);
+                } else {
+                    self.roads.advance(&mut place, ahead_m, &[]);
+                }
                 Some(self.roads.pose(&place))
+            }
+            Spot::Road {
+                who,
+                along_m,
+                left_m,
+            } => {
+                let mut place = self.get(who)?.place?;
+                let sign = self.roads.road_sign(&place);
+                place.left_m += place.sign() * sign * left_m;
+                self.roads.advance_on_road(&mut place, sign * along_m);
+                Some(self.roads.pose(&place))
+            }
+        }
+    }
+
+    /// Point of a line; `None` where it counts from what is on no lane.
+    pub(super) fn place(&self, place: &Place) -> Option<DVec2> {
+        match place {
+            Place::At(spot) => Some(self.spot(spot)?.0),
+            Place::Beside {
+                of,
+                turn_rad,
+                offset_m,
+            } => {
+                let (point_m, heading_rad) = self.spot(of)?;
+                let ahead = DVec2::from_angle(heading_rad + turn_rad);
+                Some(point_m + ahead.rotate(DVec2::from_array(*offset_m)))
+            }
+            Place::Between { of, shares } => {
+                let weighted = of.iter().zip(shares);
+                weighted
+                    .map(|(spot, share)| Some(*share * self.spot(spot)?.0))
+                    .sum()
             }
         }
     }

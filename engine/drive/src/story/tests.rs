@@ -1,6 +1,7 @@
 //! Actors on a straight road: motion against closed forms.
 
 mod events;
+mod places;
 mod signals;
 
 use std::sync::Arc;
@@ -326,9 +327,9 @@ fn gaps_distances_beside_and_speeds_of_others_are_kept() {
     // 20 m between boxes of 4 m, and it moves on what it saw a part of a step before.
     near(moments[10][1].0.x - moments[10][0].0.x, 24.0, 0.25);
     let limits = Limits {
-        speed_mps: None,
         acceleration_mps2: Some(3.0),
         deceleration_mps2: Some(3.0),
+        ..Limits::default()
     };
     let slowly = story(&pair, &[event(Trigger::new(), &[(A, gap(limits))])]);
     let moments = played(&slowly, 200);
@@ -424,6 +425,7 @@ fn lines_are_followed_at_their_times_or_at_the_actors_speed() {
         },
         seen_from,
         on_lanes: false,
+        places: Vec::new(),
         times_s: times_s.to_vec(),
         is_absolute: false,
     };
@@ -445,6 +447,7 @@ fn teleports_and_hiding_happen_at_once() {
     let to = Spot::Lane {
         who: B,
         lanes: -1,
+        on_road: false,
         ahead_m: 30.0,
         left_m: Some(0.5),
     };

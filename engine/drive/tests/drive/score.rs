@@ -316,6 +316,7 @@ fn motion<'a>((x, y, yaw_rad, speed_mps, rate_radps): (f64, f64, f64, f64, f64))
 fn any_episode() -> impl Strategy<Value = Episode> {
     let ends = prop::sample::select(vec![
         EpisodeEnd::RouteDone,
+        EpisodeEnd::Story,
         EpisodeEnd::Time,
         EpisodeEnd::Collision { agent: 0 },
     ]);
@@ -372,9 +373,12 @@ proptest! {
         for (score, episode) in scores.iter().zip(&episodes) {
             prop_assert!(0.0 <= score.driving_score && score.driving_score <= score.counted_completion);
             let others_fault = score.infractions.iter().any(|found| !found.at_fault());
-            let counted = match score.ended_by_other() { true => 1.0, false => score.route_completion };
-            prop_assert_eq!(score.counted_completion, counted);
-            prop_assert!(!score.ended_by_other() || others_fault && !score.success);
+            match episode.end {
+                EpisodeEnd::Story => prop_assert!((0.0..=1.0).contains(&score.counted_completion)),
+                _ if score.ended_by_other => prop_assert_eq!(score.counted_completion, 1.0),
+                _ => prop_assert_eq!(score.counted_completion, score.route_completion),
+            }
+            prop_assert!(!score.ended_by_other || others_fault && !score.success);
             prop_assert_eq!(score.route_completion == 1.0, episode.end == EpisodeEnd::RouteDone);
             prop_assert!(score.route_completion <= 1.0 && (!score.success || score.driving_score == 1.0));
             prop_assert_eq!(score.collisions() > 0, score.min_ttc_s() == Some(0.0) || matches!(episode.end, EpisodeEnd::Collision { .. }));

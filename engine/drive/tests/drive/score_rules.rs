@@ -93,7 +93,7 @@ fn a_collision_that_is_not_its_fault_takes_nothing_of_the_route() {
     let score = EpisodeScore::new(&made);
     assert!((0.2..0.5).contains(&score.route_completion), "{score:?}");
     assert_eq!((score.counted_completion, score.driving_score), (1.0, 1.0));
-    assert!(score.ended_by_other() && !score.success);
+    assert!(score.ended_by_other && !score.success);
     let summary = Summary::from_scores(std::slice::from_ref(&score));
     summary.check().unwrap();
     assert_eq!(summary.all.unwrap().ended_by_others, 1);
@@ -105,7 +105,31 @@ fn a_collision_that_is_not_its_fault_takes_nothing_of_the_route() {
     let agents: [Motion; 1] = [straight(30.0, 0.0, 0.0, 0.0)];
     let end = EpisodeEnd::Collision { agent: 0 };
     let score = EpisodeScore::new(&episode(6, &straight(0.0, 0.0, 0.0, 9.0), &agents, end));
-    assert!(score.driving_score < 0.6 * 0.5 && !score.ended_by_other());
+    assert!(score.driving_score < 0.6 * 0.5 && !score.ended_by_other);
+}
+
+#[test]
+fn a_story_that_ends_an_episode_counts_what_the_reference_drove_until_then() {
+    let scored = |speed_mps: f64| {
+        let ego = straight(0.0, 0.0, 0.0, speed_mps);
+        EpisodeScore::new(&episode(8, &ego, &[], EpisodeEnd::Story))
+    };
+    // The reference cruises at the speed that the scenario gives.
+    let whole = scored(9.0);
+    assert!((0.2..0.5).contains(&whole.route_completion), "{whole:?}");
+    assert_eq!((whole.counted_completion, whole.success), (1.0, true));
+    let slow = scored(1.0);
+    assert!((0.01..0.5).contains(&slow.counted_completion), "{slow:?}");
+    assert!(slow.counted_completion > slow.route_completion && !slow.success);
+    let stands = scored(0.0);
+    assert_eq!((stands.counted_completion, stands.success), (0.0, false));
+    Summary::from_scores(&[whole, slow, stands])
+        .check()
+        .unwrap();
+    // The same drive that time ended is not done.
+    let ego = straight(0.0, 0.0, 0.0, 9.0);
+    let timed = EpisodeScore::new(&episode(8, &ego, &[], EpisodeEnd::Time));
+    assert!(timed.counted_completion < 0.5 && !timed.success);
 }
 
 fn light(color: LightColor) -> TrafficLight {

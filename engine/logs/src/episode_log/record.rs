@@ -166,6 +166,7 @@ pub(super) enum EndForm {
     },
     OffRoad {},
     OffRoute {},
+    Story {},
     Time {},
     Planner {
         reason: String,
@@ -412,6 +413,7 @@ impl EndForm {
             },
             EpisodeEnd::OffRoad => Self::OffRoad {},
             EpisodeEnd::OffRoute => Self::OffRoute {},
+            EpisodeEnd::Story => Self::Story {},
             EpisodeEnd::Time => Self::Time {},
             EpisodeEnd::Planner { reason } => Self::Planner {
                 reason: reason.clone(),
@@ -445,6 +447,7 @@ impl EndForm {
             }
             Self::OffRoad {} => EpisodeEnd::OffRoad,
             Self::OffRoute {} => EpisodeEnd::OffRoute,
+            Self::Story {} => EpisodeEnd::Story,
             Self::Time {} => EpisodeEnd::Time,
             Self::Planner { reason } => EpisodeEnd::Planner { reason },
         })

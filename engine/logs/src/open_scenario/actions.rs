@@ -179,6 +179,15 @@ pub enum Action {
 /// that is not read.
 pub(super) type Read = Option<Vec<(Option<String>, Action)>>;
 
+impl Action {
+    /// Names the entity that the action is about where its places count from it.
+    pub(super) fn name_own(&mut self, name: &str) {
+        if let Self::Follow { points, .. } = self {
+            points.iter_mut().for_each(|point| point.name_own(name));
+        }
+    }
+}
+
 /// An action in a `<PrivateAction>`, `<GlobalAction>` or `<UserDefinedAction>`,; one that names
 /// its entity itself may be two.
 pub(super) fn read(
@@ -358,6 +367,8 @@ pub(super) fn limits(constraints: Option<Node>, along: bool) -> Result<Limits, D
         speed_mps: of("maxSpeed")?,
         acceleration_mps2: usual(of("maxAcceleration")?),
         deceleration_mps2: usual(of("maxDeceleration")?),
+        acceleration_rate_mps3: of("maxAccelerationRate")?,
+        deceleration_rate_mps3: of("maxDecelerationRate")?,
     })
 }
 
@@ -422,7 +433,8 @@ fn arrive(
     let (Some(at), Some(other_at)) = (at, other_at) else {
         return Ok(None);
     };
-    let tolerance_m = |name: &str| kind.number_or(name, 1.0);
+    // The standard names no tolerance for files without one.
+    let tolerance_m = |name: &str| kind.number_or(name, 0.0);
     let tolerances_m = [
         tolerance_m("targetTolerance")?,
         tolerance_m("targetToleranceMaster")?,

@@ -18,6 +18,8 @@ const PARTS: usize = 8;
 const POINTS_OF_SPAN: usize = 16;
 const CONTROLS_MAX: usize = 200;
 const ORDER_MAX: usize = 8;
+/// Steps of the search for the value at which a control point counts most.
+const PEAK_STEPS: usize = 60;
 
 /// Points of a `<Clothoid>`, `<ClothoidSpline>` or `<Nurbs>` in a `<Shape>`; `None` if it has none
 /// or they cannot be read.
@@ -73,13 +75,8 @@ fn clothoids(
                 None => next,
             });
         }
-        let Some(curve) = &mut curve else {
-            skipped.add(
-                segment,
-                "a spline without the position of its start is not read",
-            );
-            return Ok(None);
-        };
+        // Without a start it begins where the entity is.
+        let curve = curve.get_or_insert_with(|| Curve::new(Position::own()));
         curve.heading_rad += segment.number_or("hOffset", 0.0)?;
         let ends = [
             segment.number("curvatureStart")?,
@@ -192,6 +189,12 @@ fn spline(
     }
     let mut points = Vec::new();
     let inner = order - 1..controls.len();
+    // The time of a control point is that of the place where it counts most.
+    let times_s: Option<Vec<f64>> = times_s.into_iter().collect();
+    let reached = times_s.map(|times_s| {
+        let peaks = (0..controls.len()).map(|control| peak(&knots, order, control));
+        peaks.zip(times_s).collect::<Vec<(f64, f64)>>()
+    });
     for span in inner.clone().filter(|&span| knots[span + 1] > knots[span]) {
         let is_last = span + 1 == inner.end;
         for part in 0..POINTS_OF_SPAN + usize::from(is_last) {
@@ -207,8 +210,7 @@ fn spline(
             }
             let shares: Vec<f64> = weighted.iter().map(|weight| weight / sum).collect();
             let of = controls[first..=span].to_vec();
-            let times = times_s[first..=span].iter().zip(&shares);
-            let time_s = times.map(|(time_s, share)| Some((*time_s)? * share)).sum();
+            let time_s = reached.as_ref().map(|reached| time_at(reached, at));
             points.push((Position::Between { of, shares }, time_s));
         }
     }
@@ -216,6 +218,47 @@ fn spline(
         return Err(nurbs.fault("routes and trajectories have too many points together"));
     }
     Ok(Some(points))
+}
+
+/// Value at which a control point counts most.
+fn peak(knots: &[f64], order: usize, control: usize) -> f64 {
+    let count = knots.len() - order;
+    let weight = |at: f64| {
+        // The last span that is not empty holds the end.
+        let span = knots[..count].partition_point(|&knot| knot <= at);
+        let span = span.saturating_sub(1).max(order - 1);
+        let first = span + 1 - order;
+        let basis = basis(knots, order, span, at);
+        control
+            .checked_sub(first)
+            .and_then(|at| basis.get(at).copied())
+            .unwrap_or(0.0)
+    };
+    let within = |at: f64| at.clamp(knots[order - 1], knots[count]);
+    let (mut low, mut high) = (within(knots[control]), within(knots[control + order]));
+    // It rises and falls once.
+    for _ in 0..PEAK_STEPS {
+        let (left, right) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
+        if weight(left) < weight(right) {
+            low = left;
+        } else {
+            high = right;
+        }
+    }
+    0.5 * (low + high)
+}
+
+/// Time at a value, between those that are reached at others, seconds.
+fn time_at(reached: &[(f64, f64)], at: f64) -> f64 {
+    let next = reached.partition_point(|(value, _)| *value <= at);
+    let next = next.clamp(1, reached.len() - 1);
+    let ((from, from_s), (to, to_s)) = (reached[next - 1], reached[next]);
+    let share = if to > from {
+        (at - from) / (to - from)
+    } else {
+        0.0
+    };
+    from_s + share.clamp(0.0, 1.0) * (to_s - from_s)
 }
 
 /// Values of the basis functions of an order that are not 0 between a knot and the next one
@@ -266,6 +309,23 @@ mod tests {
         assert_eq!(points.first().unwrap().1, Some(1.0));
         assert_eq!(points.last().unwrap().1, Some(3.0));
         assert_eq!(points[16].1, Some(2.0));
+    }
+
+    #[test]
+    fn control_points_are_reached_where_they_count_most() {
+        // Quadratic, clamped: the middle one of three peaks in the middle.
+        let knots = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+        for (control, expected) in [(0, 0.0), (1, 0.5), (2, 1.0)] {
+            assert!((peak(&knots, 3, control) - expected).abs() < 1e-6);
+        }
+        // Of order 2 each is reached at its knot, whatever the spaces between them.
+        let knots = [0.0, 0.0, 0.2, 0.7, 1.0, 1.0];
+        for (control, expected) in [0.0, 0.2, 0.7, 1.0].into_iter().enumerate() {
+            assert!((peak(&knots, 2, control) - expected).abs() < 1e-6);
+        }
+        let reached = [(0.0, 1.0), (0.5, 2.0), (1.0, 4.0)];
+        let times_s = [-1.0, 0.0, 0.25, 0.5, 0.75, 1.0, 2.0].map(|at| time_at(&reached, at));
+        assert_eq!(times_s, [1.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.0]);
     }
 
     #[test]

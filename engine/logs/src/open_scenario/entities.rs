@@ -114,6 +114,8 @@ impl Body {
             speed_mps: None,
             acceleration_mps2: None,
             deceleration_mps2: None,
+            acceleration_rate_mps3: None,
+            deceleration_rate_mps3: None,
         },
     };
 
@@ -213,5 +215,7 @@ fn limits(vehicle: Node) -> Limits {
         speed_mps: of("maxSpeed"),
         acceleration_mps2: of("maxAcceleration"),
         deceleration_mps2: of("maxDeceleration"),
+        // Changes of speed that files ask for have their own shapes.
+        ..Limits::default()
     }
 }

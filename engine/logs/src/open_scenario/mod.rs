@@ -64,6 +64,8 @@ pub struct OpenScenario {
     pub environment: Option<Environment>,
     /// Time at which the storyboard stops, seconds.
     pub stop_time_s: Option<f64>,
+    /// Conditions other than a time at which the storyboard stops; empty if there are none.
+    pub stop: Trigger,
     /// Actions at the start, besides positions.
     pub init: Vec<StoryTask>,
     /// Acts of the storyboard, in the order of the file.
@@ -205,7 +207,7 @@ impl OpenScenario {
             start.into_iter().chain([&act.stop])
         });
         let events = self.events.iter().filter_map(|event| event.start.as_ref());
-        acts.chain(events).flatten().flatten()
+        acts.chain(events).chain([&self.stop]).flatten().flatten()
     }
 }
 
@@ -286,6 +288,7 @@ pub fn decode(
         controllers: signals.controllers,
         environment: story.environment,
         stop_time_s: story.stop_time_s,
+        stop: story.stop,
         init: story.init,
         acts: story.acts,
         events: story.events,

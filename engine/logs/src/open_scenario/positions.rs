@@ -166,6 +166,25 @@ impl Position {
             _ => None,
         }
     }
+
+    /// Place of the entity that an action is about, which [`Self::name_own`] names.
+    pub(super) fn own() -> Self {
+        Self::RelativeEntity {
+            entity: String::new(),
+            offset_m: DVec2::ZERO,
+            is_in_its_frame: true,
+            heading: None,
+        }
+    }
+
+    /// Names the entity that an action is about.
+    pub(super) fn name_own(&mut self, name: &str) {
+        match self {
+            Self::RelativeEntity { entity, .. } if entity.is_empty() => name.clone_into(entity),
+            Self::Beside { of, .. } => of.name_own(name),
+            _ => {}
+        }
+    }
 }
 
 /// An id or a difference of lanes.

@@ -19,9 +19,9 @@ pub(super) fn read(profile: Node, skipped: &mut Skipped) -> Result<Option<Action
     let limits = match profile.first("DynamicConstraints") {
         Some(constraints) => limits(Some(constraints), true)?,
         None => Limits {
-            speed_mps: None,
             acceleration_mps2: Some(USUAL_MPS2),
             deceleration_mps2: Some(USUAL_MPS2),
+            ..Limits::default()
         },
     };
     let (mut times_s, mut speeds_mps): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());

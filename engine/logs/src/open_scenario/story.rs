@@ -17,6 +17,8 @@ use super::{Entity, Position, Skipped, StoryAct, StoryEvent, StoryTask, position
 pub(super) struct Story {
     /// Time at which it stops, seconds.
     pub stop_time_s: Option<f64>,
+    /// Conditions other than a time at which it stops.
+    pub stop: Trigger,
     /// Light and air at the start.
     pub environment: Option<Environment>,
     /// Actions at the start that take time.
@@ -104,9 +106,10 @@ pub(super) fn read(
         events,
         ..
     } = reader;
-    let stop_time_s = stop_time_s(storyboard, context, skipped);
+    let (stop_time_s, stop) = stop_of(storyboard, context, skipped);
     Ok(Story {
         stop_time_s,
+        stop,
         environment,
         init,
         acts,
@@ -114,27 +117,30 @@ pub(super) fn read(
     })
 }
 
-/// Time at which the storyboard stops, seconds.
-fn stop_time_s(storyboard: Node, context: Context, skipped: &mut Skipped) -> Option<f64> {
-    let stop = storyboard.first("StopTrigger")?;
+/// Time at which the storyboard stops, seconds, and the other conditions of its stop. One alone
+/// that asks for a time is the former.
+fn stop_of(storyboard: Node, context: Context, skipped: &mut Skipped) -> (Option<f64>, Trigger) {
+    let Some(stop) = storyboard.first("StopTrigger") else {
+        return (None, Trigger::new());
+    };
     let read = conditions::read(Some(stop), context, skipped);
-    let trigger: Trigger = recovered(stop, read, skipped).unwrap_or_default();
+    let mut trigger: Trigger = recovered(stop, read, skipped).unwrap_or_default();
     let mut first_s: Option<f64> = None;
-    for group in &trigger {
-        match group.as_slice() {
-            [one] if matches!(one.when, When::Time { .. }) => {
-                let When::Time { value_s, .. } = one.when else {
-                    continue;
-                };
+    trigger.retain(|group| match group.as_slice() {
+        [one] => match one.when {
+            When::Time { value_s, .. } => {
                 let at_s = value_s + one.delay_s;
                 if at_s > 0.0 {
                     first_s = Some(first_s.map_or(at_s, |found_s| found_s.min(at_s)));
                 }
+                false
             }
-            _ => skipped.add(stop, "only a time stops an episode"),
-        }
-    }
-    first_s
+            _ => true,
+        },
+        // A group without conditions asks for nothing.
+        _ => !group.is_empty(),
+    });
+    (first_s, trigger)
 }
 
 /// The value that was read, or `None` with a sentence: a fault of one event does not keep a file
@@ -235,11 +241,12 @@ impl Reader<'_, '_> {
                     }
                     continue;
                 }
-                let Some(read) = actions::read(action, catalogs, skipped)? else {
+                let Some(mut read) = actions::read(action, catalogs, skipped)? else {
                     continue;
                 };
                 let entity = &mut self.entities[index];
-                for (_, one) in &read {
+                for (_, one) in &mut read {
+                    one.name_own(&name);
                     match one {
                         // The speed at the start is also that of who does not follow its change.
                         Action::Speed { target, .. } => entity.speed = Some(target.clone()),
@@ -399,8 +406,9 @@ impl Reader<'_, '_> {
                 None => vec![String::new()],
             };
             for actor in of {
+                let mut action = action.clone();
+                action.name_own(&actor);
                 self.note_start(&actor, &action);
-                let action = action.clone();
                 self.events[number].tasks.push(StoryTask {
                     line,
                     actor,

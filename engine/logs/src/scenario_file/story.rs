@@ -157,7 +157,13 @@ fn check_tracks<'a>(agents: &'a [TrackedAgent], names: &mut HashSet<&'a str>) ->
 
 fn points(action: &Action) -> usize {
     match action {
-        Action::Follow { points_m, .. } | Action::Route { points_m } => points_m.len(),
+        Action::Follow {
+            points_m, places, ..
+        } => {
+            let spots = places.iter().map(|place| place.spots().len());
+            points_m.len() + spots.sum::<usize>()
+        }
+        Action::Route { points_m } => points_m.len(),
         Action::Profile { times_s, .. } => times_s.len(),
         _ => 0,
     }

@@ -151,6 +151,7 @@ fn heads() -> impl Strategy<Value = EpisodeHead> {
 fn ends() -> impl Strategy<Value = EpisodeEnd> {
     prop_oneof![
         Just(EpisodeEnd::RouteDone),
+        Just(EpisodeEnd::Story),
         Just(EpisodeEnd::Time),
         any::<usize>().prop_map(|agent| EpisodeEnd::Collision { agent }),
         Just(EpisodeEnd::OffRoad),

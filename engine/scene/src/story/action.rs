@@ -128,10 +128,58 @@ pub enum Spot {
         lanes: i64,
         /// Way ahead along the lanes, meters.
         ahead_m: f64,
+        /// True if lanes, way and offset count in the direction of the road's reference line, and
+        /// the way along it: that is shorter or longer than the lanes in bends.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        on_road: bool,
         /// Offset from the middle of that lane to the left, meters; none: that of the road user.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         left_m: Option<f64>,
     },
+    /// Place on the road of a road user.
+    Road {
+        /// Road user.
+        who: Who,
+        /// Way along the reference line of the road, in its direction, meters.
+        along_m: f64,
+        /// Way to the left of that line from the road user's own offset, meters.
+        left_m: f64,
+    },
+}
+
+/// Point of a line that counts from road users.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Place {
+    /// A place itself.
+    At(Spot),
+    /// Point seen from a place.
+    Beside {
+        /// Place that it is seen from.
+        of: Spot,
+        /// Turn of what is ahead from the heading of that place, radians to the left.
+        turn_rad: f64,
+        /// Offset ahead and to the left, meters.
+        offset_m: [f64; 2],
+    },
+    /// Mean of places.
+    Between {
+        /// The places.
+        of: Vec<Spot>,
+        /// Shares of them, 1 together.
+        shares: Vec<f64>,
+    },
+}
+
+impl Place {
+    /// Places that it is made of.
+    #[must_use]
+    pub fn spots(&self) -> &[Spot] {
+        match self {
+            Self::At(spot) | Self::Beside { of: spot, .. } => std::slice::from_ref(spot),
+            Self::Between { of, .. } => of,
+        }
+    }
 }
 
 /// Action of an actor.
@@ -243,6 +291,10 @@ pub enum Action {
         /// True if points count along the lanes of `seen_from`, and to the left of their middle.
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         on_lanes: bool,
+        /// Points that count from road users in other ways, instead of `points_m`, as they are when
+        /// the action begins.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        places: Vec<Place>,
         /// Times at the points, seconds; empty: it keeps its own speed.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         times_s: Vec<f64>,

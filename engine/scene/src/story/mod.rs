@@ -13,7 +13,7 @@ use std::collections::HashSet;
 
 use serde::{Deserialize, Serialize};
 
-pub use action::{Action, Change, Dynamics, Extent, Shape, Side, Speed, Spot, TargetLane};
+pub use action::{Action, Change, Dynamics, Extent, Place, Shape, Side, Speed, Spot, TargetLane};
 pub use condition::{Condition, Direction, Edge, End, Measure, Rule, State, When};
 pub use tracks::{Handover, TrackedAgent, Tracks};
 
@@ -41,6 +41,9 @@ pub struct Story {
     /// Variables and their values at the start.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub variables: Vec<(String, String)>,
+    /// Conditions that end the episode; none: it ends otherwise.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stop: Trigger,
     /// Road users with a script.
     #[serde(default, rename = "actor", skip_serializing_if = "Vec::is_empty")]
     pub actors: Vec<Actor>,
@@ -71,10 +74,11 @@ impl Story {
         self.events.iter().flat_map(|event| &event.actions)
     }
 
-    /// Conditions of all acts and events.
+    /// Conditions of all acts and events, and of the end.
     pub fn conditions(&self) -> impl Iterator<Item = &Condition> + Clone {
         let acts = self.acts.iter().flat_map(|act| [&act.start, &act.stop]);
-        let triggers = acts.chain(self.events.iter().map(|event| &event.start));
+        let events = self.events.iter().map(|event| &event.start);
+        let triggers = acts.chain(events).chain([&self.stop]);
         triggers.flatten().flatten()
     }
 
@@ -96,10 +100,11 @@ impl Story {
         by_actions.chain(by_conditions).chain(controlled).collect()
     }
 
-    /// True if events direct something: actors or traffic lights.
+    /// True if it directs something: actors, traffic lights or the end of the episode.
     #[must_use]
     pub fn directs(&self) -> bool {
         !self.actors.is_empty()
+            || !self.stop.is_empty()
             || self
                 .tasks()
                 .any(|task| matches!(task.action, Action::Light { .. } | Action::Phase { .. }))
@@ -207,6 +212,12 @@ pub struct Limits {
     /// Largest deceleration, m/s^2, above zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deceleration_mps2: Option<f64>,
+    /// Largest growth of the acceleration, m/s^3; it counts where a distance to another is kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceleration_rate_mps3: Option<f64>,
+    /// Largest growth of the deceleration, m/s^3; it counts where a distance to another is kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deceleration_rate_mps3: Option<f64>,
 }
 
 impl Limits {

@@ -377,6 +377,9 @@ impl Simulation {
         if foot.distance_m > OFF_ROUTE_M {
             return Some(EpisodeEnd::OffRoute);
         }
+        if self.traffic.story_is_over() {
+            return Some(EpisodeEnd::Story);
+        }
         let (per_step, _) = self.scenario.substeps();
         (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
     }

@@ -3,7 +3,7 @@
 use decouplegs_logs::open_scenario::{
     self as file, Along, Entity, Position, StoryTask, TargetSpeed,
 };
-use decouplegs_scene::story::{Action, Dynamics, Extent, Speed, TargetLane, Task, Who};
+use decouplegs_scene::story::{Action, Dynamics, Extent, Place, Speed, TargetLane, Task, Who};
 use glam::DVec2;
 
 use super::cast::{Cast, Lost};
@@ -54,10 +54,13 @@ impl Cast<'_, '_> {
                 light: signal.clone(),
                 color: *color,
             }),
-            file::Action::Phase { controller, phase } => Some(Action::Phase {
-                controller: controller.clone(),
-                phase: phase.clone(),
-            }),
+            file::Action::Phase { controller, phase } => {
+                self.check_phase(controller, phase)?;
+                Some(Action::Phase {
+                    controller: controller.clone(),
+                    phase: phase.clone(),
+                })
+            }
             _ => None,
         };
         if let Some(action) = about_lights {
@@ -132,11 +135,12 @@ impl Cast<'_, '_> {
                 times_s,
                 is_absolute,
             } => {
-                let (seen_from, on_lanes, points_m) = self.line(points)?;
+                let line = self.line(points)?;
                 Action::Follow {
-                    points_m,
-                    seen_from,
-                    on_lanes,
+                    points_m: line.points_m,
+                    seen_from: line.seen_from,
+                    on_lanes: line.on_lanes,
+                    places: line.places,
                     times_s: times_s.clone().unwrap_or_default(),
                     is_absolute: *is_absolute,
                 }
@@ -214,21 +218,55 @@ impl Cast<'_, '_> {
         })
     }
 
-    /// Points of a line, meters, after the entity that all are seen from, and true if they count
-    /// along its lanes; without one, in world coordinates.
-    fn line(&self, points: &[Position]) -> Lost<(Option<Who>, bool, Vec<[f64; 2]>)> {
+    /// Points of a line.
+    fn line(&self, points: &[Position]) -> Lost<Line> {
         let ahead =
             |place: &Position| seen_from(place).map(|(name, at_m, _)| (name.to_owned(), at_m));
         if let Some((who, points_m)) = self.all_from(points, ahead)? {
-            return Ok((Some(who), false, points_m));
+            return Ok(Line {
+                seen_from: Some(who),
+                points_m,
+                ..Line::default()
+            });
         }
         if let Some((who, points_m)) = self.all_from(points, |place| self.along_lanes(place))? {
-            return Ok((Some(who), true, points_m));
+            return Ok(Line {
+                seen_from: Some(who),
+                on_lanes: true,
+                points_m,
+                ..Line::default()
+            });
         }
         if points.iter().any(|place| self.moves(place)) {
-            return Err("its points count from an entity in a way that is not read".into());
+            let places = points.iter().map(|point| self.place(point));
+            return Ok(Line {
+                places: places.collect::<Lost<_>>()?,
+                ..Line::default()
+            });
         }
-        Ok((None, false, self.points_m(points)?))
+        Ok(Line {
+            points_m: self.points_m(points)?,
+            ..Line::default()
+        })
+    }
+
+    /// A point that counts from entities.
+    fn place(&self, position: &Position) -> Lost<Place> {
+        Ok(match position {
+            Position::Beside { of, offset_m } => Place::Beside {
+                of: self.spot(of)?,
+                turn_rad: turn_rad(of)?,
+                offset_m: offset_m.to_array(),
+            },
+            Position::Between { of, shares } => Place::Between {
+                of: of
+                    .iter()
+                    .map(|place| self.spot(place))
+                    .collect::<Lost<_>>()?,
+                shares: shares.clone(),
+            },
+            place => Place::At(self.spot(place)?),
+        })
     }
 
     /// The entity that all points are seen from, as `place_of` finds it, and where they are.
@@ -257,17 +295,10 @@ impl Cast<'_, '_> {
             Position::RelativeLane {
                 entity,
                 lanes: 0,
-                along,
+                along: Along::Lane(ds_m),
                 offset_m,
                 ..
-            } => {
-                let sign = self.sign(entity);
-                let at_m = match along {
-                    Along::Road(ds_m) => sign * DVec2::new(*ds_m, *offset_m),
-                    Along::Lane(ds_m) => DVec2::new(*ds_m, *offset_m),
-                };
-                Some((entity.clone(), at_m))
-            }
+            } => Some((entity.clone(), DVec2::new(*ds_m, *offset_m))),
             Position::Between { of, shares } => {
                 let (mut name, mut mean_m) = (None, DVec2::ZERO);
                 for (place, share) in of.iter().zip(shares) {
@@ -340,6 +371,32 @@ impl Cast<'_, '_> {
         } else {
             0.0
         }
+    }
+}
+
+/// Points of a line, meters: in world coordinates, or as an entity sees them, along its lanes or
+/// not, or else one by one.
+#[derive(Default)]
+struct Line {
+    points_m: Vec<[f64; 2]>,
+    seen_from: Option<Who>,
+    on_lanes: bool,
+    places: Vec<Place>,
+}
+
+/// Turn of a place from the heading that an entity gives it, radians.
+fn turn_rad(place: &Position) -> Lost<f64> {
+    let heading = match place {
+        Position::RelativeEntity { heading, .. }
+        | Position::RelativeLane { heading, .. }
+        | Position::RelativeRoad { heading, .. } => *heading,
+        _ => None,
+    };
+    match heading {
+        Some(heading) if !heading.is_relative => {
+            Err("a curve that starts at an entity with a heading of the world is not read".into())
+        }
+        heading => Ok(heading.map_or(0.0, |heading| heading.rad)),
     }
 }
 

@@ -78,62 +78,44 @@ impl Cast<'_, '_> {
                 turns: *is_in_its_frame,
             },
             Position::RelativeLane {
-                entity,
                 lanes,
                 along,
                 offset_m,
                 ..
             } => {
-                let sign = self.sign(entity);
-                let lanes = if sign < 0.0 {
-                    lanes.saturating_neg()
-                } else {
-                    *lanes
-                };
-                let (ahead_m, left_m) = match along {
-                    Along::Road(ds_m) => (sign * ds_m, sign * offset_m),
-                    Along::Lane(ds_m) => (*ds_m, *offset_m),
+                let (on_road, ahead_m) = match along {
+                    Along::Road(ds_m) => (true, *ds_m),
+                    Along::Lane(ds_m) => (false, *ds_m),
                 };
                 Spot::Lane {
                     who,
-                    lanes,
+                    lanes: *lanes,
                     ahead_m,
-                    left_m: Some(left_m),
+                    on_road,
+                    left_m: Some(*offset_m),
                 }
             }
-            Position::RelativeRoad {
-                entity, ds_m, dt_m, ..
-            } => {
-                let sign = self.sign(entity);
-                if *dt_m == 0.0 {
-                    Spot::Lane {
-                        who,
-                        lanes: 0,
-                        ahead_m: sign * ds_m,
-                        left_m: None,
-                    }
-                } else {
-                    Spot::From {
-                        who,
-                        offset_m: [sign * ds_m, sign * dt_m],
-                        turns: true,
-                    }
-                }
-            }
+            Position::RelativeRoad { ds_m, dt_m, .. } => Spot::Road {
+                who,
+                along_m: *ds_m,
+                left_m: *dt_m,
+            },
             _ => return Err("the position counts from an entity in a way that is not read".into()),
         })
     }
 
     pub(super) fn trigger(&self, trigger: &file::Trigger) -> Lost<Trigger> {
-        let group = |group: &Vec<file::Condition>| -> Lost<Vec<Condition>> {
-            let condition = |condition: &file::Condition| {
-                self.condition(condition).map_err(|reason| {
-                    format!("line {}: the condition is lost: {reason}", condition.line)
-                })
-            };
-            group.iter().map(condition).collect()
+        trigger.iter().map(|group| self.group(group)).collect()
+    }
+
+    /// Conditions that have to hold together.
+    pub(super) fn group(&self, group: &[file::Condition]) -> Lost<Vec<Condition>> {
+        let condition = |condition: &file::Condition| {
+            self.condition(condition).map_err(|reason| {
+                format!("line {}: the condition is lost: {reason}", condition.line)
+            })
         };
-        trigger.iter().map(group).collect()
+        group.iter().map(condition).collect()
     }
 
     fn condition(&self, condition: &file::Condition) -> Lost<Condition> {
@@ -173,10 +155,13 @@ impl Cast<'_, '_> {
                 light: signal.clone(),
                 color: *color,
             },
-            file::When::Phase { controller, phase } => When::Phase {
-                controller: controller.clone(),
-                phase: phase.clone(),
-            },
+            file::When::Phase { controller, phase } => {
+                self.check_phase(controller, phase)?;
+                When::Phase {
+                    controller: controller.clone(),
+                    phase: phase.clone(),
+                }
+            }
             file::When::Always(holds) => When::Always { holds: *holds },
         };
         Ok(Condition {
@@ -184,6 +169,19 @@ impl Cast<'_, '_> {
             delay_s: condition.delay_s,
             when,
         })
+    }
+
+    /// # Errors
+    /// A sentence if the controller has no phase of that name.
+    pub(super) fn check_phase(&self, controller: &str, phase: &str) -> Lost<()> {
+        let mut controllers = self.import.file.controllers.iter();
+        let Some(found) = controllers.find(|one| one.name == controller) else {
+            return Err(format!("there is no controller {controller}"));
+        };
+        match found.phases.iter().any(|(name, _)| name == phase) {
+            true => Ok(()),
+            false => Err(format!("the controller {controller} has no phase {phase}")),
+        }
     }
 
     fn measure(&self, measure: &file::Measure) -> Lost<Measure> {

@@ -39,6 +39,7 @@ impl Import<'_> {
             variables: self.file.variables.clone(),
             actors,
             acts: Vec::new(),
+            stop: Trigger::new(),
             events: Vec::new(),
             controllers: self.controllers(lights),
             tracks: Tracks::default(),
@@ -56,6 +57,12 @@ impl Import<'_> {
                 Trigger::new()
             });
             story.acts.push(Act { start, stop });
+        }
+        for group in &self.file.stop {
+            match cast.group(group) {
+                Ok(group) => story.stop.push(group),
+                Err(reason) => skipped.push(format!("{reason}; it does not stop the episode")),
+            }
         }
         // What happens at the start comes first, in an act of its own.
         story.acts.push(Act::default());

@@ -123,9 +123,9 @@ fn actions_are_those_of_the_file() {
             times_s: vec![0.0, 2.0],
             speeds_mps: vec![8.0, 12.0],
             limits: Limits {
-                speed_mps: None,
                 acceleration_mps2: Some(2.0),
                 deceleration_mps2: Some(4.0),
+                ..Limits::default()
             },
         }),
         vec![],
@@ -243,6 +243,7 @@ fn places_of_actions_may_count_from_others_that_drive() {
             who,
             lanes: -1,
             ahead_m: 10.0,
+            on_road: true,
             left_m: Some(0.5),
         },
         Spot::From {
@@ -250,11 +251,10 @@ fn places_of_actions_may_count_from_others_that_drive() {
             offset_m: [3.0, 4.0],
             turns: true,
         },
-        Spot::Lane {
+        Spot::Road {
             who,
-            lanes: 0,
-            ahead_m: 3.0,
-            left_m: None,
+            along_m: 3.0,
+            left_m: 0.0,
         },
     ];
     let places: Vec<Spot> = actions_of(&read)
@@ -285,6 +285,8 @@ fn events_direct_the_lights_of_the_map_and_wait_for_them() {
     let absent = global("<TrafficSignalStateAction name='99' state='red'/>");
     let stop =
         global("<TrafficSignalControllerAction trafficSignalControllerRef='c' phase='stop'/>");
+    let wrong =
+        global("<TrafficSignalControllerAction trafficSignalControllerRef='c' phase='halt'/>");
     let is_red = by_value("<TrafficSignalCondition name='7' state='red'/>", 0.0);
     let entities = vehicle("Ego", "") + &vehicle("T", "");
     let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
@@ -294,6 +296,15 @@ fn events_direct_the_lights_of_the_map_and_wait_for_them() {
         ("slower", speed("3"), is_red),
         ("absent", absent, at(1)),
         ("stop", stop, at(3)),
+        ("wrong", wrong, at(3)),
+        (
+            "waits",
+            speed("4"),
+            by_value(
+                "<TrafficSignalControllerCondition trafficSignalControllerRef='c' phase='wait'/>",
+                0.0,
+            ),
+        ),
     ]);
     let text = file(&entities, &actions, &story);
     let controller = "<TrafficSignals><TrafficSignalController name='c'><Phase name='go' duration='6'><TrafficSignalState trafficSignalId='7' state='green'/></Phase><Phase name='stop' duration='4'><TrafficSignalState trafficSignalId='7' state='red'/></Phase></TrafficSignalController></TrafficSignals></RoadNetwork>";
@@ -323,6 +334,12 @@ fn events_direct_the_lights_of_the_map_and_wait_for_them() {
     assert_eq!(read.scenario.lights[0].phases.len(), 2);
     let skipped = read.skipped.join("\n");
     assert!(skipped.contains("signal 99 has no stop line"), "{skipped}");
+    // Phases that the controller does not have can be neither begun nor met.
+    for phase in ["halt", "wait"] {
+        let said = format!("the controller c has no phase {phase}");
+        assert!(skipped.contains(&said), "{skipped}");
+    }
+    assert_eq!((read.events, read.events_driven), (6, 4));
     // A light that the story alone directs is green until then.
     let alone = with_light(&file(
         &entities,
@@ -375,4 +392,65 @@ fn light_and_air_become_those_of_the_place() {
     }
     let fog = "<Weather><Fog visualRange='120'/></Weather>";
     assert_eq!(air(fog), (None, Some(120.0)));
+}
+
+#[test]
+fn conditions_stop_the_episode_and_times_its_drive() {
+    let entities = vehicle("Ego", "") + &vehicle("T", "");
+    let place = "<LanePosition roadId='1' laneId='-1' s='100'/>";
+    let actions = init("Ego", &teleport(AT_50)) + &init("T", &(teleport(place) + &speed("10")));
+    let story = story_of(&[("slower", speed("3"), at(1))]);
+    let group = |conditions: &str| format!("<ConditionGroup>{conditions}</ConditionGroup>");
+    let traveled = |who: &str| {
+        format!(
+            "<Condition delay='0'><ByEntityCondition><TriggeringEntities triggeringEntitiesRule='any'><EntityRef entityRef='{who}'/></TriggeringEntities><EntityCondition><TraveledDistanceCondition value='30'/></EntityCondition></ByEntityCondition></Condition>"
+        )
+    };
+    let groups = [
+        group(&(traveled("Ego") + &at(4))),
+        group(&by_value(&state_of("slower", "endTransition"), 2.0)),
+        group(&traveled("nobody")),
+    ]
+    .concat();
+    // The file of the tests stops at 4 s.
+    let text = file(&entities, &actions, &story);
+    let text = text.replace("<StopTrigger>", &format!("<StopTrigger>{groups}"));
+    assert!(text.contains("nobody"), "{text}");
+    let read = import(&text);
+    let story = &read.scenario.story;
+    assert_eq!(story.stop.len(), 2, "{:?}", story.stop);
+    assert_eq!(story.stop[0].len(), 2);
+    let ended = &story.stop[1][0];
+    assert!(matches!(&ended.when, When::Events { events, .. } if *events == [1]));
+    assert_eq!(ended.delay_s, 2.0);
+    // The ego drives for the time of the file, with what planners may take longer.
+    let alone = import(&file(&entities, &actions, ""));
+    assert_eq!(read.scenario.duration_s, alone.scenario.duration_s);
+    assert!(alone.scenario.story.stop.is_empty());
+    let skipped = read.skipped.join("\n");
+    assert!(
+        skipped.contains("it does not stop the episode"),
+        "{skipped}"
+    );
+    let text = scenario_file::to_toml(&read.scenario).unwrap();
+    assert_eq!(scenario_file::parse(&text).unwrap(), read.scenario);
+}
+
+#[test]
+fn a_spline_without_a_start_begins_where_its_actor_is() {
+    let spline = private(
+        "<RoutingAction><FollowTrajectoryAction><Trajectory name='t' closed='false'><Shape><ClothoidSpline><ClothoidSplineSegment curvatureStart='0' curvatureEnd='0' length='20'/></ClothoidSpline></Shape></Trajectory><TimeReference><None/></TimeReference><TrajectoryFollowingMode followingMode='position'/></FollowTrajectoryAction></RoutingAction>",
+    );
+    let read = with_story(&story_of(&[("t", spline, at(1))]));
+    let Action::Follow {
+        points_m,
+        seen_from,
+        ..
+    } = &actions_of(&read)[0][0].action
+    else {
+        panic!("{:?}", actions_of(&read));
+    };
+    assert_eq!(*seen_from, Some(Who(1)));
+    assert_eq!(points_m.first(), Some(&[0.0, 0.0]));
+    assert!((points_m.last().unwrap()[0] - 20.0).abs() < 1e-9);
 }

@@ -472,6 +472,7 @@ fn conditions_are_about_any_entity_and_about_places() {
         who: Who(1),
         lanes: -1,
         ahead_m: 30.0,
+        on_road: true,
         left_m: Some(0.0),
     });
     let relative = |to: &str| format!("<RelativeDistanceCondition entityRef='{to}' {less}/>");

@@ -5,10 +5,13 @@ use decouplegs_scene::story::{Action, Direction, End, Limits, Side, TargetLane, 
 use super::super::roads::OnLane;
 use super::super::seen::Scene;
 use super::super::shapes::Transition;
+use super::spring::Spring;
 use super::{Mover, Number, Way};
 
-/// Speed at which a distance beside another is closed, per meter of it, 1/s.
-const BESIDE_PULL_PER_S: f64 = 1.0;
+/// Difference of a distance beside another that counts as none, meters.
+const BESIDE_REACHED_M: f64 = 0.05;
+/// Speed ahead that an actor keeps while it moves aside, m/s.
+const AHEAD_MPS_MIN: f64 = 1e-6;
 
 /// Change of the offset.
 #[derive(Clone, Debug)]
@@ -22,6 +25,9 @@ pub(super) enum Across {
         left_m: f64,
         continuous: bool,
         limits: Limits,
+        /// Speed to the left, m/s, where an acceleration is given.
+        speed_mps: f64,
+        spring: Spring,
     },
 }
 
@@ -115,6 +121,8 @@ impl Mover {
                     left_m: left * apart_m,
                     continuous,
                     limits,
+                    speed_mps: 0.0,
+                    spring: Spring::default(),
                 });
             }
             _ => return None,
@@ -156,6 +164,8 @@ impl Mover {
                 left_m,
                 continuous,
                 limits,
+                speed_mps,
+                spring,
             } => {
                 let found = scene
                     .get(*to)
@@ -164,20 +174,30 @@ impl Mover {
                     self.across = continuous.then_some(job);
                     return 0.0;
                 };
-                let wanted_m = found.y + *left_m;
-                let more_m = wanted_m - before_m;
-                let step_m = match (limits.speed_mps, limits.acceleration_mps2) {
-                    (None, None) => more_m,
-                    (limit, _) => {
-                        let most_m = limit.unwrap_or(f64::INFINITY) * dt_s;
-                        (more_m * BESIDE_PULL_PER_S * dt_s).clamp(-most_m, most_m)
+                let more_m = found.y + *left_m - before_m;
+                let most_mps = limits.speed_mps.unwrap_or(f64::INFINITY);
+                let most_mps = most_mps.min((way_m.abs() / dt_s - AHEAD_MPS_MIN).max(0.0));
+                let is_free = limits.speed_mps.is_none();
+                let (step_m, counts) = match limits.acceleration_mps2 {
+                    None if is_free => (more_m, false),
+                    None => {
+                        let most_m = most_mps * dt_s;
+                        (more_m.clamp(-most_m, most_m), true)
+                    }
+                    Some(most) => {
+                        // Damped by its own motion, as players do: it swings behind one that
+                        // moves aside itself.
+                        let left = [more_m, *speed_mps];
+                        let mps2 = spring.acceleration_mps2(left, [most; 2], limits, dt_s);
+                        *speed_mps = (*speed_mps + mps2 * dt_s).clamp(-most_mps, most_mps);
+                        (*speed_mps * dt_s, true)
                     }
                 };
-                (
-                    before_m + step_m,
-                    *continuous || (more_m - step_m).abs() > 0.05,
-                    false,
-                )
+                if counts {
+                    self.left_mps = step_m / dt_s;
+                }
+                let is_reached = (more_m - step_m).abs() <= BESIDE_REACHED_M;
+                (before_m + step_m, *continuous || !is_reached, counts)
             }
         };
         place.left_m = place.sign() * left_m;

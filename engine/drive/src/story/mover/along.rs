@@ -7,14 +7,15 @@ use glam::DVec2;
 
 use super::super::seen::{Scene, Seen};
 use super::super::shapes::Transition;
+use super::spring::Spring;
 use super::{Mover, Number, Way};
 
 /// Difference of a gap that counts as none, meters, and of a speed, m/s.
 const GAP_REACHED_M: f64 = 0.1;
 const SPEED_REACHED_MPS: f64 = 0.1;
-/// Pull of a gap that is to be reached, per meter, as a share of the largest acceleration.
-const GAP_PULL: f64 = 0.4;
 
+/// Way by which a place of arrival is farther than it was, meters, from which on it is missed.
+const MISSED_M: f64 = 0.05;
 /// Largest change of speed for an arrival, m/s^2.
 const RATE_MPS2: f64 = 10.0;
 
@@ -39,6 +40,7 @@ pub(super) enum Along {
         side: f64,
         continuous: bool,
         limits: Limits,
+        spring: Spring,
     },
     Arrive {
         with: Who,
@@ -47,7 +49,8 @@ pub(super) enum Along {
         tolerances_m: [f64; 2],
         speed: Option<Speed>,
         steady_m: f64,
-        last_m: [f64; 2],
+        /// Least ways that were left to both places, meters.
+        least_m: [f64; 2],
     },
 }
 
@@ -103,6 +106,7 @@ impl Mover {
                     side,
                     continuous,
                     limits,
+                    spring: Spring::default(),
                 }
             }
             Action::Arrive {
@@ -120,7 +124,7 @@ impl Mover {
                 tolerances_m: [*tolerance_m, *other_tolerance_m],
                 speed: *speed,
                 steady_m: *steady_m,
-                last_m: [f64::INFINITY; 2],
+                least_m: [f64::INFINITY; 2],
             },
             _ => return None,
         })
@@ -149,7 +153,7 @@ impl Mover {
                 }
                 *at < times_s.len()
             }
-            Along::Gap { .. } => self.keep_gap(&job.kind, scene, dt_s),
+            Along::Gap { .. } => self.keep_gap(&mut job.kind, scene, dt_s),
             Along::Arrive { .. } => self.arrive(&mut job.kind, scene, dt_s),
         };
         if goes_on {
@@ -202,7 +206,7 @@ impl Mover {
     }
 
     /// Keeps a gap; false once it is reached, if that is enough.
-    fn keep_gap(&mut self, kind: &Along, scene: &Scene, dt_s: f64) -> bool {
+    fn keep_gap(&mut self, kind: &mut Along, scene: &Scene, dt_s: f64) -> bool {
         let Along::Gap {
             to,
             gap,
@@ -211,6 +215,7 @@ impl Mover {
             side,
             continuous,
             limits,
+            spring,
         } = kind
         else {
             return false;
@@ -225,11 +230,11 @@ impl Mover {
             return *continuous;
         };
         let wanted_m = if *is_time {
-            gap * other.speed_mps.abs()
+            *gap * other.speed_mps.abs()
         } else {
             *gap
         };
-        let more_m = found.signed_m.signum() * found.distance_m() - side * wanted_m;
+        let more_m = found.signed_m.signum() * found.distance_m() - *side * wanted_m;
         let limited = limits.acceleration_mps2.zip(limits.deceleration_mps2);
         let Some((most, least)) = limited else {
             if let Way::Lane(place) = &mut self.way {
@@ -238,11 +243,9 @@ impl Mover {
             self.speed_mps = other.speed_mps;
             return *continuous;
         };
-        // A spring with the damping that lets it settle soonest.
-        let pull = GAP_PULL * if more_m < 0.0 { most } else { least };
         let faster_mps = self.speed_mps - other.speed_mps;
-        let wanted_mps2 = pull * more_m - 2.0 * pull.sqrt() * faster_mps;
-        self.speed_mps += wanted_mps2.clamp(-least, most) * dt_s;
+        let left = [more_m, faster_mps];
+        self.speed_mps += spring.acceleration_mps2(left, [most, least], limits, dt_s) * dt_s;
         if let Some(limit_mps) = limits.speed_mps {
             self.speed_mps = self.speed_mps.clamp(-limit_mps, limit_mps);
         }
@@ -258,7 +261,7 @@ impl Mover {
             tolerances_m,
             speed,
             steady_m,
-            last_m,
+            least_m,
         } = kind
         else {
             return false;
@@ -287,9 +290,11 @@ impl Mover {
             .any(|(way_m, within_m)| way_m < within_m);
         let has_missed = ways_m
             .iter()
-            .zip(&*last_m)
-            .any(|(way_m, last_m)| *way_m > last_m + 1e-6);
-        *last_m = ways_m;
+            .zip(&*least_m)
+            .any(|(way_m, least_m)| *way_m > least_m + MISSED_M);
+        for (least_m, way_m) in least_m.iter_mut().zip(ways_m) {
+            *least_m = least_m.min(way_m);
+        }
         let final_mps = speed.as_ref().and_then(|speed| speed_of(speed, scene));
         let own_m = (ways_m[0] - tolerances_m[0]).max(1e-6);
         let time_s = (ways_m[1] - tolerances_m[1]).max(0.0) / other.speed_mps.max(0.0);

@@ -299,3 +299,43 @@ fn priorities_acts_and_stops_decide_which_event_runs() {
     };
     near(played(&late, 80)[80][0].2, 15.0, 0.06);
 }
+
+#[test]
+fn a_story_is_over_once_its_conditions_have_held() {
+    let ends_s = |stop: Trigger| {
+        let stand = Action::Speed {
+            target: Speed::Mps(0.0),
+            dynamics: dynamics(Shape::Linear, Extent::TimeS(2.0)),
+        };
+        let mut one = story(
+            &[actor("a", 100.0, 1, 10.0)],
+            &[event(from_time(1.0), &[(A, stand)])],
+        );
+        one.stop = stop;
+        let mut stage = Stage::new(&one, &road(), &Arc::default()).unwrap();
+        (0..100).find(|step| {
+            stage.step(f64::from(*step) * 0.1, 0.1, None);
+            stage.is_over()
+        })
+    };
+    let ended = When::Events {
+        events: vec![0],
+        state: State::Ended,
+    };
+    // The event begins after 1 s and takes 2 s; its end is seen in the part after it.
+    let delayed = vec![vec![Condition {
+        edge: Edge::Rising,
+        delay_s: 2.0,
+        when: ended.clone(),
+    }]];
+    let traveled = |way_m: f64| value(A, Measure::Traveled, Rule::GreaterOrEqual, way_m);
+    assert_eq!(ends_s(traveled(5.0)), Some(5));
+    // It stands after 20 m.
+    assert_eq!(ends_s(traveled(25.0)), None);
+    assert_eq!(ends_s(Trigger::new()), None);
+    let first = ends_s(when(ended)).unwrap();
+    assert!((29..=31).contains(&first), "{first}");
+    assert_eq!(ends_s(delayed), Some(first + 20));
+    let both = [traveled(25.0), traveled(5.0)].concat();
+    assert_eq!(ends_s(both), Some(5), "one group is enough");
+}
