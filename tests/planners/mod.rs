@@ -3,6 +3,7 @@
 mod client;
 mod driving;
 mod misbehaving;
+mod not_looking;
 mod open_scenario;
 mod road_course;
 mod road_users;

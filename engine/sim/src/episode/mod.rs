@@ -10,6 +10,7 @@ mod live;
 mod moments;
 mod observation_renderer;
 pub mod open_loop;
+mod overlapped;
 mod replay;
 mod rollout;
 mod simulation;
@@ -19,14 +20,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use decouplegs_asset::AssetError;
-use decouplegs_scene::Scenario;
 use decouplegs_scene::episode::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick, PlannerRecord,
 };
+use decouplegs_scene::{Plan, Scenario};
 use decouplegs_session::SessionError;
 
 use crate::planner::agents::{AgentDriver, AgentsInfo};
-use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, Reading};
+use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, PlannerError, Reading};
+use overlapped::Overlapped;
 
 pub use live::LiveEpisode;
 pub use moments::{Moment, Moments};
@@ -101,8 +103,9 @@ impl EpisodeObserver for () {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepTime {
     /// Poses, light, the frame on the device, its images back on the host, and sweeps of LiDARs.
+    /// With a planner that looks at none of them ([`Planner::looks`]), what the step waited for.
     pub draw: Duration,
-    /// Time of the device for the images, a part of [`StepTime::draw`].
+    /// Time of the device for the images, a part of [`StepTime::draw`] where that has all of it.
     pub device: Duration,
     /// Time of the planner.
     pub plan: Duration,
@@ -168,16 +171,35 @@ pub fn drive_among(
         let begun = agents.begin(&info);
         begun.map_err(|error| agents_failed(&rollout, error.to_string()))?;
     }
-    let mut times = Vec::new();
+    let mut times: Vec<StepTime> = Vec::new();
+    let looks = planner.looks();
+    let unseen = renderer.take_if(|renderer| !looks && renderer.rig().lidars().next().is_none());
+    let mut ahead = unseen.map(Overlapped::new);
     while rollout.end().is_none() {
         let since = Instant::now();
         if let Some(agents) = agents.as_deref_mut() {
             command(&mut rollout, agents)?;
         }
         let commanded = since.elapsed();
-        let mut time = one_step(&mut rollout, renderer.as_deref_mut(), planner, observer)?;
+        let mut time = match &mut ahead {
+            Some(ahead) => {
+                let time = ahead.step(&mut rollout, planner, observer)?;
+                if let Some(before) = times.last_mut() {
+                    before.device = ahead.device_time();
+                }
+                time
+            }
+            None => one_step(&mut rollout, renderer.as_deref_mut(), planner, observer)?,
+        };
         time.advance += commanded;
         times.push(time);
+    }
+    if let Some(ahead) = &mut ahead {
+        let taken = ahead.finish(&mut rollout, observer)?;
+        if let Some(last) = times.last_mut() {
+            last.draw += taken;
+            last.device = ahead.device_time();
+        }
     }
     let episode = rollout.into_episode();
     observer.end(&episode.end)?;
@@ -247,30 +269,13 @@ fn one_step(
     let readings = renderer
         .map(ObservationRenderer::readings)
         .unwrap_or_default();
-    let simulation = rollout.simulation();
-    let sees = planner.sees();
-    let privileged = sees.privileged.then(|| simulation.privileged());
-    let localization = sees.localization.then(|| {
-        let episode = rollout.episode();
-        let driven = episode.steps.last().map(|step| step.instants.as_slice());
-        simulation.localization(driven.unwrap_or(std::slice::from_ref(&episode.start)))
-    });
-    let observation = Observation {
-        step: number,
-        time_s: simulation.time_s(),
-        readings: &readings,
-        ego: simulation.motion(),
-        guidance: simulation.guidance(),
-        localization: localization.as_ref(),
-        privileged: privileged.as_ref(),
-    };
     let (answer, readings_hashed) = std::thread::scope(|scope| {
         let hashes = scope.spawn(|| {
             renderer
                 .map(ObservationRenderer::hashes)
                 .unwrap_or_default()
         });
-        let answer = planner.plan(&observation);
+        let answer = ask(rollout, planner, &readings);
         time.plan = lap();
         (answer, hashes.join().expect("hashing does not panic"))
     });
@@ -287,6 +292,31 @@ fn one_step(
     observer.step(step, &readings)?;
     time.observer = lap();
     Ok(time)
+}
+
+/// The plan of `planner` for the next step, made from `readings`.
+fn ask(
+    rollout: &Rollout,
+    planner: &mut dyn Planner,
+    readings: &[Reading],
+) -> Result<Plan, PlannerError> {
+    let simulation = rollout.simulation();
+    let sees = planner.sees();
+    let privileged = sees.privileged.then(|| simulation.privileged());
+    let localization = sees.localization.then(|| {
+        let episode = rollout.episode();
+        let driven = episode.steps.last().map(|step| step.instants.as_slice());
+        simulation.localization(driven.unwrap_or(std::slice::from_ref(&episode.start)))
+    });
+    planner.plan(&Observation {
+        step: rollout.next_step(),
+        time_s: simulation.time_s(),
+        readings,
+        ego: simulation.motion(),
+        guidance: simulation.guidance(),
+        localization: localization.as_ref(),
+        privileged: privileged.as_ref(),
+    })
 }
 
 fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use decouplegs_asset::{AssetError, read_lidar};
 use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
 use decouplegs_scene::lidar::{ROOF_M, ReturnOptions};
-use decouplegs_scene::{Invalid, LidarSweep, Pose, Rig, RigCamera, RigLidar, random};
+use decouplegs_scene::{Camera, Invalid, LidarSweep, Pose, Rig, RigCamera, RigLidar, random};
 use decouplegs_session::{
     BatchRenderer, HostImages, RigSweep, SessionError, SessionScene, TracedSweep, World, WorldView,
 };
@@ -174,6 +174,46 @@ impl ObservationRenderer {
         })
     }
 
+    /// Submits the images of `simulation`, without sweeps, if `step` is one that is drawn; true if
+    /// it is. Readings of earlier steps stay until [`Self::finish`].
+    ///
+    /// # Errors
+    /// Returns the errors of [`Self::draw`].
+    pub(super) fn submit(
+        &mut self,
+        simulation: &mut Simulation,
+        step: u32,
+    ) -> Result<bool, SessionError> {
+        if self.rig.cameras().next().is_none() || !step.is_multiple_of(self.every) {
+            return Ok(false);
+        }
+        let (ego, motion) = simulation.show(&mut self.world)?;
+        let cameras = self.rig.moving_at(&ego, &motion);
+        self.submit_cameras(&cameras)?;
+        Ok(true)
+    }
+
+    fn submit_cameras(&mut self, cameras: &[Camera]) -> Result<(), SessionError> {
+        let world = &self.world;
+        self.renderer.submit(&[WorldView { world, cameras }])
+    }
+
+    /// Brings the images that were submitted first to the host, if the step `is_drawn`. Readings of
+    /// earlier steps are gone either way.
+    ///
+    /// # Errors
+    /// Returns an error if the device was lost or has not the memory.
+    pub(super) fn finish(&mut self, is_drawn: bool) -> Result<(), SessionError> {
+        self.images.clear();
+        self.sweeps.clear();
+        self.device_time = Duration::ZERO;
+        if is_drawn {
+            let frames = self.renderer.finish(&mut self.images)?;
+            self.device_time = frames.iter().map(|frame| frame.gpu_time).sum();
+        }
+        Ok(())
+    }
+
     /// Draws `simulation` if `step` is one that is drawn, and traces the sweeps that end then.
     /// Readings of earlier steps are gone either way.
     ///
@@ -205,11 +245,7 @@ impl ObservationRenderer {
         let sweeps: Vec<RigSweep> = sweeps.collect();
         // The device draws the images while the host prepares the first sweep.
         if !cameras.is_empty() {
-            let view = WorldView {
-                world: &self.world,
-                cameras: &cameras,
-            };
-            self.renderer.submit(&[view])?;
+            self.submit_cameras(&cameras)?;
         }
         let traced = (self.renderer).trace_all(&self.world, &sweeps, &mut self.traced);
         if !cameras.is_empty() {

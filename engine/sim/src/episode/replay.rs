@@ -41,6 +41,10 @@ impl Planner for Logged<'_> {
         }
     }
 
+    fn looks(&self) -> bool {
+        false
+    }
+
     fn begin(&mut self, _info: &EpisodeInfo) -> Result<(), PlannerError> {
         match (&self.episode.end, self.episode.steps.is_empty()) {
             (EpisodeEnd::Planner { reason }, true) => Err(PlannerError(reason.clone())),

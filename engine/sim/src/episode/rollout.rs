@@ -153,6 +153,13 @@ impl Rollout {
         &self.episode.steps[step as usize]
     }
 
+    /// Adds the hashes of the readings of a step, which were made after it. Returns the step.
+    pub(super) fn set_readings(&mut self, step: u32, readings: Vec<ReadingRecord>) -> &EpisodeStep {
+        let step = &mut self.episode.steps[step as usize];
+        step.readings = readings;
+        step
+    }
+
     /// Ends it because the planner failed.
     pub fn fail(&mut self, reason: String) {
         self.simulation.fail(reason);

@@ -19,6 +19,10 @@ impl Planner for ConstantVelocity {
         ObservationRequest::default()
     }
 
+    fn looks(&self) -> bool {
+        false
+    }
+
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
         Ok(())
     }

@@ -85,6 +85,10 @@ impl Planner for LaneFollow {
         }
     }
 
+    fn looks(&self) -> bool {
+        false
+    }
+
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
         *self = Self::default();
         Ok(())

@@ -281,6 +281,12 @@ pub trait Planner: Send {
     /// Returns an error if the planner has no answer, or none in time.
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
 
+    /// False if it never looks at [`Observation::readings`]. It is given none then, and the device
+    /// draws while the next step is driven.
+    fn looks(&self) -> bool {
+        true
+    }
+
     /// True if the last plan was not the planner's own: it has not seen enough to plan yet, and the
     /// ego was kept on its route. The log and the score say so.
     fn is_warming_up(&self) -> bool {

@@ -59,6 +59,10 @@ impl Planner for Replay {
         }
     }
 
+    fn looks(&self) -> bool {
+        false
+    }
+
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
         Ok(())
     }

@@ -1,0 +1,104 @@
+//! Steps of a planner that looks at no readings: the device draws the images of a step, and they
+//! are hashed, while that step and the next one are driven.
+
+use std::time::{Duration, Instant};
+
+use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Rollout, StepTime, ask};
+use crate::planner::Planner;
+
+/// The images of steps, one step behind the steps.
+pub(super) struct Overlapped<'a> {
+    renderer: &'a mut ObservationRenderer,
+    /// The step whose images are not finished, and whether it has some.
+    waiting: Option<(u32, bool)>,
+}
+
+impl<'a> Overlapped<'a> {
+    /// Steps without images yet. `renderer` has no LiDARs, whose sweeps are not traced ahead.
+    pub(super) fn new(renderer: &'a mut ObservationRenderer) -> Self {
+        Self {
+            renderer,
+            waiting: None,
+        }
+    }
+
+    /// Time of the device for the images that were finished last.
+    pub(super) fn device_time(&self) -> Duration {
+        self.renderer.device_time()
+    }
+
+    /// One step: its images are submitted, it is planned and driven, and the step before is handed
+    /// to `observer` with its readings. The time of drawing is what the step waited for.
+    pub(super) fn step(
+        &mut self,
+        rollout: &mut Rollout,
+        planner: &mut dyn Planner,
+        observer: &mut dyn EpisodeObserver,
+    ) -> Result<StepTime, EpisodeError> {
+        let number = rollout.next_step();
+        let mut time = StepTime::default();
+        let mut since = Instant::now();
+        let mut lap = || {
+            let now = Instant::now();
+            let taken = now - since;
+            since = now;
+            taken
+        };
+        let is_drawn = self.renderer.submit(rollout.simulation_mut(), number)?;
+        time.draw = lap();
+        let before = self.waiting.take();
+        let renderer = &mut *self.renderer;
+        let (is_driven, finished) = std::thread::scope(|scope| {
+            let finishing = before.map(|(step, is_drawn)| {
+                let finish = move || {
+                    let finished = renderer.finish(is_drawn);
+                    finished.map(|()| (step, renderer.hashes()))
+                };
+                scope.spawn(finish)
+            });
+            let answer = ask(rollout, planner, &[]);
+            time.plan = lap();
+            let is_driven = match answer {
+                Ok(plan) => {
+                    rollout.step(plan, Vec::new(), planner.is_warming_up());
+                    true
+                }
+                Err(error) => {
+                    rollout.fail(error.to_string());
+                    false
+                }
+            };
+            time.advance = lap();
+            let finished = finishing.map(|thread| thread.join().expect("drawing does not panic"));
+            (is_driven, finished)
+        });
+        let finished = finished.transpose()?;
+        time.draw += lap();
+        if let Some((step, hashes)) = finished {
+            let step = rollout.set_readings(step, hashes);
+            observer.step(step, &self.renderer.readings())?;
+        }
+        time.observer = lap();
+        match is_driven {
+            true => self.waiting = Some((number, is_drawn)),
+            // A step that was not driven has no images either.
+            false => self.renderer.finish(is_drawn)?,
+        }
+        Ok(time)
+    }
+
+    /// Finishes the last step. The time that this takes.
+    pub(super) fn finish(
+        &mut self,
+        rollout: &mut Rollout,
+        observer: &mut dyn EpisodeObserver,
+    ) -> Result<Duration, EpisodeError> {
+        let since = Instant::now();
+        if let Some((step, is_drawn)) = self.waiting.take() {
+            self.renderer.finish(is_drawn)?;
+            let step = rollout.set_readings(step, self.renderer.hashes());
+            observer.step(step, &self.renderer.readings())?;
+        }
+        Ok(since.elapsed())
+    }
+}
