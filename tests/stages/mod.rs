@@ -11,6 +11,7 @@ mod blend;
 mod composite;
 mod cull;
 mod cull_shadows;
+mod hash_images;
 mod key_splats;
 mod layout;
 mod lidar;

@@ -113,6 +113,10 @@ struct ImageKeeper {
 }
 
 impl EpisodeObserver for ImageKeeper {
+    fn looks(&self) -> bool {
+        self.image_writer.looks()
+    }
+
     fn begin(
         &mut self,
         _: &EpisodeHead,

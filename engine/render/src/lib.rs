@@ -30,6 +30,7 @@ mod taken;
 
 pub mod capacity;
 mod image_bytes;
+pub mod image_hash;
 pub mod layout;
 pub mod metrics;
 mod plane;
@@ -46,6 +47,7 @@ pub use asset_pool::{AssetId, AssetPool, PoolBuffers, SHAPE_WORDS, stored_shape}
 pub use capacity::Capacity;
 pub use error::RenderError;
 pub use image_bytes::{ImageBytes, lower_half_opacity};
+pub use image_hash::hash_bytes;
 pub use kept_lists::ListSource;
 pub use keys::KeySource;
 pub use lidar::{LidarOptions, LidarRenderer, LidarView, TracedSweep};

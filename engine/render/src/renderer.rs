@@ -10,6 +10,7 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
+use crate::image_hash::ImageHasher;
 use crate::kept_lists::{KeptLists, ListSource};
 use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
@@ -47,6 +48,8 @@ pub struct Renderer {
     /// `None` before the first frame.
     keys: Option<PersistentKeys>,
     image_pool: SharedImagePool,
+    /// Kernel and buffers of hashes, once some were asked for.
+    pub(crate) hasher: Option<ImageHasher>,
     ray_tables: RayTables,
 }
 
@@ -65,6 +68,7 @@ impl Renderer {
             shown: None,
             keys: None,
             image_pool: SharedImagePool::default(),
+            hasher: None,
             ray_tables: RayTables::default(),
         }
     }

@@ -181,6 +181,28 @@ impl BatchRenderer {
         })
     }
 
+    /// Waits for the oldest submission and hashes its images, which stay on the device:
+    /// `[view][camera]`, as [`decouplegs_render::hash_bytes`] hashes what [`BatchRenderer::finish`]
+    /// brings.
+    ///
+    /// # Errors
+    /// Returns the errors of [`BatchRenderer::finish`].
+    pub fn finish_hashes(
+        &mut self,
+    ) -> Result<(Vec<Vec<u128>>, Vec<FrameStatistics>), SessionError> {
+        if self.options.outputs.color != ColorFormat::U8 {
+            return self.dropping_all_on_error(Err(SessionError::NotBytes));
+        }
+        let mut hashes: Vec<Vec<u128>> = Vec::new();
+        let statistics = self.finish_frames(|renderer, _, batch| {
+            for (view, hash) in batch.views().zip(renderer.hash_images()?) {
+                of_view(&mut hashes, view).push(hash);
+            }
+            Ok(())
+        })?;
+        Ok((hashes, statistics))
+    }
+
     /// [`BatchRenderer::finish`], in floats, with depth and instances where the session's outputs
     /// have them: `[view][camera]`.
     ///

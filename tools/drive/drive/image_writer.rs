@@ -61,6 +61,11 @@ fn sweep_name(step: u32, kind: &str) -> String {
 }
 
 impl ImageWriter {
+    /// True if it keeps images.
+    pub fn looks(&self) -> bool {
+        self.keeps != Images::None
+    }
+
     pub fn new(folder: PathBuf, keeps: Images) -> Self {
         Self {
             folder,
@@ -208,6 +213,10 @@ impl EpisodeImages {
 }
 
 impl EpisodeObserver for EpisodeImages {
+    fn looks(&self) -> bool {
+        self.seen.is_some() || self.image_writer.looks()
+    }
+
     fn begin(&mut self, head: &EpisodeHead, start: &EpisodeTick) -> Result<(), EpisodeError> {
         self.log = Some(EpisodeLog::create(&self.path, head, start)?);
         if let Some(seen) = &mut self.seen {

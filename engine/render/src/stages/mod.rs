@@ -12,6 +12,7 @@ mod blend;
 mod composite;
 mod cull;
 mod cull_shadows;
+mod hash_images;
 mod key_splats;
 mod lidar;
 mod merge_lists;
@@ -32,6 +33,7 @@ pub use blend::{
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
+pub use hash_images::HashImages;
 pub use key_splats::{KeptKeys, KeySplats, WantedKeys};
 pub use lidar::{
     LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar, ProjectLidar,

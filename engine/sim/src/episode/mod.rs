@@ -77,6 +77,11 @@ pub trait EpisodeObserver {
         Ok(())
     }
 
+    /// False if it never looks at readings. It may be given none then.
+    fn looks(&self) -> bool {
+        true
+    }
+
     /// Called after each step, with the readings that its plan was made from.
     ///
     /// # Errors
@@ -94,6 +99,10 @@ pub trait EpisodeObserver {
 
 /// An observer that ignores everything.
 impl EpisodeObserver for () {
+    fn looks(&self) -> bool {
+        false
+    }
+
     fn step(&mut self, _step: &EpisodeStep, _readings: &[Reading]) -> Result<(), EpisodeError> {
         Ok(())
     }
@@ -174,7 +183,8 @@ pub fn drive_among(
     let mut times: Vec<StepTime> = Vec::new();
     let looks = planner.looks();
     let unseen = renderer.take_if(|renderer| !looks && renderer.rig().lidars().next().is_none());
-    let mut ahead = unseen.map(Overlapped::new);
+    let is_watched = observer.looks();
+    let mut ahead = unseen.map(|renderer| Overlapped::new(renderer, is_watched));
     while rollout.end().is_none() {
         let since = Instant::now();
         if let Some(agents) = agents.as_deref_mut() {

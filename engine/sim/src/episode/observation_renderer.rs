@@ -9,9 +9,9 @@ use decouplegs_scene::lidar::{ROOF_M, ReturnOptions};
 use decouplegs_scene::{Camera, Invalid, LidarSweep, Pose, Rig, RigCamera, RigLidar, random};
 use decouplegs_session::{
     BatchRenderer, HostImages, RigSweep, SessionError, SessionScene, TracedSweep, World, WorldView,
+    hash_bytes,
 };
 use rayon::prelude::*;
-use xxhash_rust::xxh3::xxh3_128;
 
 use super::simulation::Simulation;
 use crate::planner::{Cameras, Reading};
@@ -24,6 +24,8 @@ pub struct ObservationRenderer {
     f_theta: bool,
     every: u32,
     images: HostImages,
+    /// Hashes of the last images, where these stayed on the device.
+    hashed: Vec<u128>,
     /// The last sweep of each LiDAR; none at a step that is not drawn.
     sweeps: Vec<LidarSweep>,
     /// States of the beams of these sweeps. Their memory is used again.
@@ -119,6 +121,7 @@ impl ObservationRenderer {
             f_theta: false,
             every: every.max(1),
             images: HostImages::default(),
+            hashed: Vec::new(),
             sweeps: Vec::new(),
             traced: Vec::new(),
             device_time: Duration::ZERO,
@@ -198,19 +201,27 @@ impl ObservationRenderer {
         self.renderer.submit(&[WorldView { world, cameras }])
     }
 
-    /// Brings the images that were submitted first to the host, if the step `is_drawn`. Readings of
-    /// earlier steps are gone either way.
+    /// Brings the images that were submitted first to the host, if the step `is_drawn`, or their
+    /// hashes alone where nobody looks at them. Readings of earlier steps are gone either way.
     ///
     /// # Errors
     /// Returns an error if the device was lost or has not the memory.
-    pub(super) fn finish(&mut self, is_drawn: bool) -> Result<(), SessionError> {
+    pub(super) fn finish(&mut self, is_drawn: bool, is_watched: bool) -> Result<(), SessionError> {
         self.images.clear();
+        self.hashed.clear();
         self.sweeps.clear();
         self.device_time = Duration::ZERO;
-        if is_drawn {
-            let frames = self.renderer.finish(&mut self.images)?;
-            self.device_time = frames.iter().map(|frame| frame.gpu_time).sum();
+        if !is_drawn {
+            return Ok(());
         }
+        let frames = if is_watched {
+            self.renderer.finish(&mut self.images)?
+        } else {
+            let (hashes, frames) = self.renderer.finish_hashes()?;
+            self.hashed = hashes.into_iter().flatten().collect();
+            frames
+        };
+        self.device_time = frames.iter().map(|frame| frame.gpu_time).sum();
         Ok(())
     }
 
@@ -222,6 +233,7 @@ impl ObservationRenderer {
     /// agents' assets.
     pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
         self.images.clear();
+        self.hashed.clear();
         self.sweeps.clear();
         self.device_time = Duration::ZERO;
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
@@ -285,11 +297,18 @@ impl ObservationRenderer {
             hash: reading_hash(rgba),
         };
         let images = drawn.into_par_iter().map(hash);
+        // Those that stayed on the device.
+        let hashed = self.rig.cameras().zip(&self.hashed);
+        let hashed = hashed.map(|(camera, hash)| ReadingRecord {
+            sensor: camera.name.clone(),
+            hash: *hash,
+        });
+        let hashed: Vec<ReadingRecord> = hashed.collect();
         let sweeps = self.sweeps.par_iter().map(|sweep| ReadingRecord {
             sensor: sweep.lidar.name.clone(),
             hash: reading_hash(&sweep.bytes()),
         });
-        images.chain(sweeps).collect()
+        images.chain(hashed).chain(sweeps).collect()
     }
 
     /// Cameras and their images; none at a step that is not drawn.
@@ -300,16 +319,8 @@ impl ObservationRenderer {
     }
 }
 
-/// Bytes that one thread hashes.
-const HASHED_BYTES: usize = 1 << 20;
-
-/// Hash of a reading, as [`ReadingRecord`] has it: of the hashes of its pieces, which are found in
-/// parallel.
+/// Hash of a reading, as [`ReadingRecord`] has it.
 #[must_use]
 pub fn reading_hash(bytes: &[u8]) -> u128 {
-    let pieces: Vec<[u8; 16]> = bytes
-        .par_chunks(HASHED_BYTES)
-        .map(|piece| xxh3_128(piece).to_le_bytes())
-        .collect();
-    xxh3_128(pieces.as_flattened())
+    hash_bytes(bytes)
 }

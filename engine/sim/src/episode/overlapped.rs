@@ -9,15 +9,19 @@ use crate::planner::Planner;
 /// The images of steps, one step behind the steps.
 pub(super) struct Overlapped<'a> {
     renderer: &'a mut ObservationRenderer,
+    /// False if images are only hashed.
+    is_watched: bool,
     /// The step whose images are not finished, and whether it has some.
     waiting: Option<(u32, bool)>,
 }
 
 impl<'a> Overlapped<'a> {
     /// Steps without images yet. `renderer` has no LiDARs, whose sweeps are not traced ahead.
-    pub(super) fn new(renderer: &'a mut ObservationRenderer) -> Self {
+    /// Unless the observer looks at them (`is_watched`), images stay on the device.
+    pub(super) fn new(renderer: &'a mut ObservationRenderer, is_watched: bool) -> Self {
         Self {
             renderer,
+            is_watched,
             waiting: None,
         }
     }
@@ -47,11 +51,11 @@ impl<'a> Overlapped<'a> {
         let is_drawn = self.renderer.submit(rollout.simulation_mut(), number)?;
         time.draw = lap();
         let before = self.waiting.take();
-        let renderer = &mut *self.renderer;
+        let (renderer, is_watched) = (&mut *self.renderer, self.is_watched);
         let (is_driven, finished) = std::thread::scope(|scope| {
             let finishing = before.map(|(step, is_drawn)| {
                 let finish = move || {
-                    let finished = renderer.finish(is_drawn);
+                    let finished = renderer.finish(is_drawn, is_watched);
                     finished.map(|()| (step, renderer.hashes()))
                 };
                 scope.spawn(finish)
@@ -82,7 +86,7 @@ impl<'a> Overlapped<'a> {
         match is_driven {
             true => self.waiting = Some((number, is_drawn)),
             // A step that was not driven has no images either.
-            false => self.renderer.finish(is_drawn)?,
+            false => self.renderer.finish(is_drawn, self.is_watched)?,
         }
         Ok(time)
     }
@@ -95,7 +99,7 @@ impl<'a> Overlapped<'a> {
     ) -> Result<Duration, EpisodeError> {
         let since = Instant::now();
         if let Some((step, is_drawn)) = self.waiting.take() {
-            self.renderer.finish(is_drawn)?;
+            self.renderer.finish(is_drawn, self.is_watched)?;
             let step = rollout.set_readings(step, self.renderer.hashes());
             observer.step(step, &self.renderer.readings())?;
         }
