@@ -1,10 +1,12 @@
 #version 460
-// Sums over the blocks of an image that the hash XXH3 adds up (xxHash, doc/xxhash_spec.md, version 0.2): all that a hash
-// reads of the image. The sums of a block follow from the block alone; the host chains them, which is 64 bytes for 1,024.
+// Sums over the blocks of an image that the hash XXH3 adds up (xxHash, doc/xxhash_spec.md, version
+// 0.2): all that a hash reads of the image. The sums of a block follow from the block alone; the
+// host chains them, which is 64 bytes for 1,024.
 //
-// An image is hashed in pieces of 1 MiB. A piece has units: its whole blocks of 16 stripes of 64 bytes, what is left of
-// stripes before its last byte, and its last 64 bytes. A thread adds up one of the 8 lanes of a unit. Sums are of 64
-// bits, as pairs of words, low first: not every device has such integers.
+// An image is hashed in pieces of 1 MiB. A piece has units: its whole blocks of 16 stripes of 64
+// bytes, what is left of stripes before its last byte, and its last 64 bytes. A thread adds up one
+// of the 8 lanes of a unit. Sums are of 64 bits, as pairs of words, low first: not every device
+// has such integers.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #include "frame.glsl"

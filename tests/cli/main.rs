@@ -12,6 +12,7 @@ mod drive_reports;
 mod edit;
 mod exchange;
 mod export;
+mod field;
 mod first_hour;
 mod ground_truth;
 mod hd_scores;

@@ -1,7 +1,7 @@
 //! `hash_images.comp`: sums over blocks of images.
 
 use decouplegs::render::image_hash::keys;
-use decouplegs::render::stages::HashImages;
+use decouplegs::render::stages::{HashImages, HashedImage, ImageSums};
 use decouplegs::render::twins;
 
 use super::{Random, identical, open, run, upload};
@@ -20,8 +20,17 @@ fn compare(
     let sums = upload(gpu, &vec![7u64; 8 * (first_unit + twin.len() + 1)]);
     let stage = HashImages::new(gpu).unwrap();
     run(gpu, |r| {
-        let image = (&upload(gpu, pixels), first, pixels.len() - first);
-        stage.record(r, image, &upload(gpu, &keys()), (&sums, first_unit));
+        let image = HashedImage {
+            pixels: &upload(gpu, pixels),
+            first_pixel: first,
+            pixel_count: pixels.len() - first,
+        };
+        let to = ImageSums {
+            keys: &upload(gpu, &keys()),
+            sums: &sums,
+            first_unit,
+        };
+        stage.record(r, image, to);
     });
     let mut expected = vec![7u64; 8 * first_unit];
     expected.extend(twin.as_flattened());

@@ -9,15 +9,11 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use crate::output::{ColorFormat, PURPOSE};
-use crate::stages::HashImages;
+use crate::stages::{
+    HashImages, HashedImage, ImageSums, LANES, PIECE_BYTES, pieces, units_of, units_of_piece,
+};
 use crate::{RenderError, Renderer};
 
-/// Bytes of a piece.
-const PIECE_BYTES: usize = 1 << 20;
-/// Bytes of a block.
-const BLOCK_BYTES: usize = 1024;
-/// Sums of a block.
-pub(crate) const LANES: usize = 8;
 /// Longest piece that is hashed in another way.
 const SHORT_BYTES: usize = 240;
 /// Secret of the hash, and the byte of it where the keys of last stripes and of both results begin.
@@ -70,24 +66,6 @@ pub fn hash_bytes(bytes: &[u8]) -> u128 {
 fn hash_of_pieces(pieces: &[u128]) -> u128 {
     let pieces: Vec<[u8; 16]> = pieces.iter().map(|piece| piece.to_le_bytes()).collect();
     xxh3_128(pieces.as_flattened())
-}
-
-/// Units of a piece: its whole blocks, what is left of stripes before its last byte, and its last
-/// 64 bytes.
-fn units_of_piece(bytes: usize) -> usize {
-    (bytes - 1) / BLOCK_BYTES + 2
-}
-
-/// Lengths of the pieces of an image, bytes.
-fn pieces(bytes: usize) -> impl Iterator<Item = usize> {
-    (0..bytes)
-        .step_by(PIECE_BYTES)
-        .map(move |first| PIECE_BYTES.min(bytes - first))
-}
-
-/// Units of an image of `bytes` bytes.
-pub(crate) fn units_of(bytes: usize) -> usize {
-    pieces(bytes).map(units_of_piece).sum()
 }
 
 /// Key at a byte of the secret.
@@ -228,12 +206,19 @@ impl Renderer {
         // Beside the next frame, which may be in flight on the main queue.
         let mut recorder = self.gpu().record(QueueRole::Update);
         let mut first_unit = 0;
-        for &(first, count) in &sizes {
-            let sums = (&hasher.sums, first_unit);
-            hasher
-                .stage
-                .record(&mut recorder, (&pixels, first, count), &hasher.keys, sums);
-            first_unit += units_of(4 * count);
+        for &(first_pixel, pixel_count) in &sizes {
+            let image = HashedImage {
+                pixels: &pixels,
+                first_pixel,
+                pixel_count,
+            };
+            let to = ImageSums {
+                keys: &hasher.keys,
+                sums: &hasher.sums,
+                first_unit,
+            };
+            hasher.stage.record(&mut recorder, image, to);
+            first_unit += units_of(4 * pixel_count);
         }
         recorder.copy(&hasher.sums, 0, &hasher.found, 0, units * LANES);
         self.gpu().submit(recorder, &[&frame])?.wait()?;

@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-use decouplegs_scene::{LaneKind, LaneMap};
-use glam::DVec2;
+use decouplegs_scene::{Lane, LaneKind, LaneMap};
+use glam::{DVec2, DVec3};
 
 use crate::lane_index::LaneIndex;
 use crate::polyline::{Foot, Polyline, wrapped};
@@ -54,6 +54,8 @@ pub(super) struct Roads {
     index: LaneIndex,
     /// Lanes beside each other, by what their ids have before their own number.
     sections: HashMap<String, Vec<usize>>,
+    /// Left and right borders of the lanes beside a reference line, by lane.
+    first_borders: Vec<Option<[Option<Polyline>; 2]>>,
 }
 
 /// Part of an id before its last `/`, and the number after it.
@@ -70,10 +72,17 @@ impl Roads {
                 sections.entry(section.to_owned()).or_default().push(lane);
             }
         }
+        let line = |border: &[DVec3]| Polyline::new(border.iter().copied());
+        let is_first = |lane: &&Lane| parts(&lane.id).is_some_and(|(_, id)| id.abs() == 1);
+        let borders = |lane: &Lane| [line(&lane.left), line(&lane.right)];
+        let lanes = map.lanes.iter();
         Self {
             map: map.clone(),
             index: LaneIndex::new(map),
             sections,
+            first_borders: lanes
+                .map(|lane| Some(lane).filter(is_first).map(borders))
+                .collect(),
         }
     }
 
@@ -254,8 +263,8 @@ impl Roads {
         true
     }
 
-    /// 1 for a place that goes the way of its road's reference line, otherwise -1: ids of lanes grow
-    /// to the left of that line. On a road of one lane, traffic keeps to the right.
+    /// 1 for a place that goes the way of its road's reference line, otherwise -1: ids of lanes
+    /// grow to the left of that line. On a road of one lane, traffic keeps to the right.
     pub(super) fn road_sign(&self, place: &OnLane) -> f64 {
         let own = parts(&self.map.lanes[place.lane].id);
         let Some(((_, id), (lanes, at))) = own.zip(self.across(place)) else {
@@ -270,7 +279,7 @@ impl Roads {
         if grows { 1.0 } else { -1.0 }
     }
 
-    /// How far the reference line of a road is to the left of the middle of a lane, meters: that is
+    /// Offset of the reference line of a road to the left of the middle of a lane, meters: that is
     /// the border between the lanes of both directions. 0 where there are no such lanes.
     fn reference_left_m(&self, place: &OnLane) -> f64 {
         let along = OnLane {
@@ -281,12 +290,8 @@ impl Roads {
         let is_along = self.road_sign(&along) > 0.0;
         let keeps_right = own.is_none_or(|(_, id)| (id < 0) == is_along);
         let first = |id: i64| {
-            let lane = &self.map.lanes[self.by_number(place, id)?];
-            let borders = match keeps_right {
-                true => &lane.left,
-                false => &lane.right,
-            };
-            Polyline::new(borders.iter().copied())
+            let borders = self.first_borders[self.by_number(place, id)?].as_ref()?;
+            borders[usize::from(!keeps_right)].as_ref()
         };
         let Some(line) = first(-1).or_else(|| first(1)) else {
             return 0.0;

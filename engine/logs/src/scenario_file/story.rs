@@ -199,7 +199,8 @@ mod tests {
     fn stories_are_read_and_written() {
         let scenario: Scenario = parse(TEXT).unwrap();
         let story = &scenario.story;
-        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 13));
+        assert_eq!((story.actors.len(), story.events[0].actions.len()), (1, 16));
+        assert_eq!(story.stop.len(), 2);
         assert_eq!(scenario.agent(0).0, "b");
         assert_eq!(parse(&to_toml(&scenario).unwrap()).unwrap(), scenario);
     }

@@ -5,7 +5,6 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
 use super::{kernel, push_constants};
 use crate::capacity::groups_for;
-use crate::image_hash::{LANES, units_of};
 
 push_constants! {
     struct Push {
@@ -14,6 +13,52 @@ push_constants! {
         first_unit: u32,
         unit_count: u32,
     }
+}
+
+/// Sums of a block.
+pub const LANES: usize = 8;
+/// Bytes of a piece, and of a block.
+pub(crate) const PIECE_BYTES: usize = 1 << 20;
+const BLOCK_BYTES: usize = 1024;
+
+/// Units of a piece: its whole blocks, what is left of stripes before its last byte, and its last
+/// 64 bytes.
+pub(crate) fn units_of_piece(bytes: usize) -> usize {
+    (bytes - 1) / BLOCK_BYTES + 2
+}
+
+/// Lengths of the pieces of an image, bytes.
+pub(crate) fn pieces(bytes: usize) -> impl Iterator<Item = usize> {
+    (0..bytes)
+        .step_by(PIECE_BYTES)
+        .map(move |first| PIECE_BYTES.min(bytes - first))
+}
+
+/// Units of an image of `bytes` bytes.
+pub(crate) fn units_of(bytes: usize) -> usize {
+    pieces(bytes).map(units_of_piece).sum()
+}
+
+/// Image that is hashed: `pixel_count` of `pixels` from `first_pixel` on.
+#[derive(Clone, Copy)]
+pub struct HashedImage<'a> {
+    /// Four bytes per pixel.
+    pub pixels: &'a Buffer<u32>,
+    /// Index of its first pixel.
+    pub first_pixel: usize,
+    /// Number of its pixels.
+    pub pixel_count: usize,
+}
+
+/// Sums of images.
+#[derive(Clone, Copy)]
+pub struct ImageSums<'a> {
+    /// Keys of the hash ([`crate::image_hash::keys`]).
+    pub keys: &'a Buffer<u64>,
+    /// Sums of units, [`LANES`] each.
+    pub sums: &'a Buffer<u64>,
+    /// Index of the unit that is written first.
+    pub first_unit: usize,
 }
 
 /// Threads of a workgroup.
@@ -35,26 +80,19 @@ impl HashImages {
         })
     }
 
-    /// Writes the sums of the image of `pixel_count` pixels from `first_pixel` of `pixels` on to
-    /// unit `first_unit` of `sums`, 8 of 64 bits each. `keys` are [`crate::image_hash::keys`].
-    pub fn record(
-        &self,
-        recorder: &mut Recorder,
-        (pixels, first_pixel, pixel_count): (&Buffer<u32>, usize, usize),
-        keys: &Buffer<u64>,
-        (sums, first_unit): (&Buffer<u64>, usize),
-    ) {
-        let units = units_of(4 * pixel_count);
+    /// Writes the sums of `image` to `to`.
+    pub fn record(&self, recorder: &mut Recorder, image: HashedImage<'_>, to: ImageSums<'_>) {
+        let units = units_of(4 * image.pixel_count);
         let push = Push {
-            first_pixel: first_pixel as u32,
-            pixel_count: pixel_count as u32,
-            first_unit: first_unit as u32,
+            first_pixel: image.first_pixel as u32,
+            pixel_count: image.pixel_count as u32,
+            first_unit: to.first_unit as u32,
             unit_count: units as u32,
         };
         let buffers = [
-            ("pixels", pixels.binding()),
-            ("keys", keys.binding()),
-            ("sums", sums.binding()),
+            ("pixels", image.pixels.binding()),
+            ("keys", to.keys.binding()),
+            ("sums", to.sums.binding()),
         ];
         let groups = groups_for((units * LANES).div_ceil(THREADS));
         recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups);

@@ -33,7 +33,8 @@ pub use blend::{
 pub use composite::CompositeSegments;
 pub use cull::{Cull, Visible};
 pub use cull_shadows::{CullShadows, ShadowBuffers, words_for};
-pub use hash_images::HashImages;
+pub use hash_images::{HashImages, HashedImage, ImageSums, LANES};
+pub(crate) use hash_images::{PIECE_BYTES, pieces, units_of, units_of_piece};
 pub use key_splats::{KeptKeys, KeySplats, WantedKeys};
 pub use lidar::{
     LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar, ProjectLidar,
