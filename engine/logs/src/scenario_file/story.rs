@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use decouplegs_scene::story::{Action, LightController, Story, TrackedAgent, When, Who};
+use decouplegs_scene::story::{Action, LightController, Limits, Story, TrackedAgent, When, Who};
 use toml::Value;
 
 use super::check::{Fault, Table, check_name, check_size};
@@ -26,6 +26,7 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
     for actor in &story.actors {
         check_name(Table::Story, &actor.name)?;
         check_size(Table::Story, actor.size())?;
+        check_limits(&actor.limits)?;
         if !names.insert(actor.name.as_str()) {
             let reason = format!("'{}' is taken; names must differ", actor.name);
             return Err(fault("name", reason));
@@ -66,6 +67,12 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
             && times_s.len() != speeds_mps.len()
         {
             return Err(fault("times_s", "expected as many times as speeds".into()));
+        }
+        if let Action::Profile { limits, .. }
+        | Action::KeepGap { limits, .. }
+        | Action::KeepBeside { limits, .. } = &task.action
+        {
+            check_limits(limits)?;
         }
     }
     for task in story.events.iter().flat_map(|event| &event.actions) {
@@ -108,6 +115,21 @@ pub(super) fn check_story<'a>(story: &'a Story, names: &mut HashSet<&'a str>) ->
     }
     let values = Value::try_from(story).map_err(|error| fault("story", error.to_string()))?;
     check_values(&values)
+}
+
+/// First limit below zero, if any.
+fn check_limits(limits: &Limits) -> Result<(), Fault> {
+    let all = [
+        limits.speed_mps,
+        limits.acceleration_mps2,
+        limits.deceleration_mps2,
+        limits.acceleration_rate_mps3,
+        limits.deceleration_rate_mps3,
+    ];
+    match all.into_iter().flatten().find(|limit| *limit < 0.0) {
+        Some(limit) => Err(fault("limits", format!("{limit}; expected 0 or more"))),
+        None => Ok(()),
+    }
 }
 
 /// First fault of the controllers of traffic lights, if any.
@@ -194,6 +216,25 @@ mod tests {
 
     /// A scenario whose story has an action and a condition of each kind.
     const TEXT: &str = include_str!("../../../asset/fuzz/seeds/scenario_file/story.toml");
+
+    #[test]
+    fn limits_below_zero_are_refused() {
+        for (from, to) in [
+            ("speed_mps = 30.0", "speed_mps = -30.0"),
+            (
+                "limits = { acceleration_mps2 = 2.0 }",
+                "limits = { deceleration_mps2 = -2.0 }",
+            ),
+            (
+                "acceleration_rate_mps3 = 1.0",
+                "acceleration_rate_mps3 = -1.0",
+            ),
+        ] {
+            assert!(TEXT.contains(from), "{from}");
+            let refused = parse(&TEXT.replace(from, to)).unwrap_err().to_string();
+            assert!(refused.contains("expected 0 or more"), "{refused}");
+        }
+    }
 
     #[test]
     fn stories_are_read_and_written() {
