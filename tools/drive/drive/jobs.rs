@@ -14,7 +14,8 @@ use decouplegs::logs::{read_hugsim_scenario, read_scenario, write_scenario};
 use decouplegs::recorded::recorded_scenario;
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Air, Drivers, LaneMap, Scenario, Weather};
+use decouplegs::scene::{Air, Drivers, LaneMap, Level, Scenario, Weather};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::folder::RunFolder;
@@ -307,26 +308,28 @@ fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
     });
     let levels = arguments.levels();
     let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);
-    let mut jobs = Vec::new();
-    for (level, index) in levels
+    let places = levels
         .into_iter()
-        .flat_map(|level| (0..arguments.episodes).map(move |index| (level, index)))
-    {
+        .flat_map(|level| (0..arguments.episodes).map(move |index| (level, index)));
+    let places: Vec<(Level, u32)> = places.collect();
+    // Each follows from its own number.
+    let job = |&(level, index): &(Level, u32)| {
         let scenario = generator.scenario(level, arguments.seed, index)?;
         let scenario = stepped(scenario, arguments);
         let path = folder.scenario(&scenario.name);
         if !path.exists() {
             write_scenario(&path, &scenario)?;
         }
-        jobs.push(Job {
+        bar.inc(1);
+        Ok(Job {
             scenario,
             directory: PathBuf::new(),
             lost: None,
-        });
-        bar.inc(1);
-    }
+        })
+    };
+    let jobs = places.par_iter().map(job).collect();
     bar.finish_and_clear();
-    Ok(jobs)
+    jobs
 }
 
 /// Weather of a probe, by its name.
