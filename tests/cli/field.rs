@@ -103,6 +103,7 @@ fn maps_are_read_by_the_letter_of_their_formats() {
         ),
         ("lanelet2/speed_inf.osm", 0, vec!["known to no lane".into()]),
         ("lanelet2/speed_kmph.osm", 0, vec![same("13.89")]),
+        ("lanelet2/speed_sp.osm", 0, vec![same("13.89")]),
         ("lanelet2/speed_ms.osm", 0, vec![same("10.00")]),
         ("lanelet2/speed_nounit.osm", 0, vec![same("11.11")]),
     ];
