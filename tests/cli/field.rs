@@ -1,7 +1,8 @@
 //! Files as the field writes them: each is read with the right values, or refused with the reason.
 //! They lie beside the public test files.
 
-use std::path::PathBuf;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::RoadUser;
@@ -143,6 +144,20 @@ fn splats_of_other_trainers_are_read_or_named() {
     }
 }
 
+/// The cameras that `path` belongs to: a folder of COLMAP is named by one of its files.
+fn cameras_in(path: &Path) -> &Path {
+    match path.extension().and_then(OsStr::to_str) {
+        Some("bin" | "txt") => path.parent().unwrap(),
+        _ => path,
+    }
+}
+
+/// Arguments that draw `splats` through `cameras` into the folder `out`.
+fn draws<'a>(splats: &'a Path, cameras: &'a Path, out: &'a Path) -> [&'a str; 6] {
+    let [splats, cameras, out] = [splats, cameras, out].map(text);
+    ["render", splats, "--cameras", cameras, "--out", out]
+}
+
 #[test]
 fn cameras_are_drawn_through_the_lens_that_they_name_or_not_at_all() {
     let Some(splats) = of_field("ply/rgb.ply") else {
@@ -152,20 +167,7 @@ fn cameras_are_drawn_through_the_lens_that_they_name_or_not_at_all() {
     let drawn = |name: &str| {
         let path = of_field(name)?;
         let out = folder.path().join(name.replace(['/', '.'], "_"));
-        // A folder of COLMAP is named by one of its files.
-        let cameras = match name.contains(".bin") || name.contains(".txt") {
-            true => path.parent()?.to_owned(),
-            false => path,
-        };
-        let arguments = [
-            "render",
-            text(&splats),
-            "--cameras",
-            text(&cameras),
-            "--out",
-            text(&out),
-        ];
-        succeed(&arguments);
+        succeed(&draws(&splats, cameras_in(&path), &out));
         let image = fs::read_dir(&out).unwrap().next()?.unwrap().path();
         Some(fs::read(image).unwrap())
     };
@@ -233,20 +235,8 @@ fn cameras_are_drawn_through_the_lens_that_they_name_or_not_at_all() {
         let Some(path) = of_field(name) else {
             continue;
         };
-        let cameras = match name.contains(".bin") {
-            true => path.parent().unwrap().to_owned(),
-            false => path,
-        };
         let out = folder.path().join("refused");
-        let arguments = [
-            "render",
-            text(&splats),
-            "--cameras",
-            text(&cameras),
-            "--out",
-            text(&out),
-        ];
-        let found = said(1, &arguments);
+        let found = said(1, &draws(&splats, cameras_in(&path), &out));
         assert!(found.contains(expected), "{name}: {found}");
         assert!(!out.exists(), "{name}: nothing is drawn");
     }

@@ -71,7 +71,7 @@ struct Memory {
 }
 
 /// Trigger that is asked, and what it remembers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Watch {
     memory: Vec<Vec<Memory>>,
     /// Time from which begins and ends of events count, seconds.

@@ -17,7 +17,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use decouplegs_scene::episode::LightChangeRecord;
-use decouplegs_scene::story::{Action, Change, Priority, Story, Task};
+use decouplegs_scene::story::{Action, Change, Priority, Story, Task, Trigger};
 use decouplegs_scene::{Invalid, LaneMap, VehicleSize, VehicleState};
 
 use self::conditions::{Course, Facts, Past, Watch};
@@ -198,21 +198,17 @@ impl Stage {
     fn direct(&mut self, time_s: f64) {
         let story = self.story.clone();
         for (at, act) in story.acts.iter().enumerate() {
-            let facts = facts(
-                &self.roads,
-                &self.seen,
-                &self.past,
-                &self.courses,
-                (&self.variables, &self.signals),
-                time_s,
-            );
-            let running = &mut self.acts[at];
-            if running.has_stopped {
+            if self.acts[at].has_stopped {
                 continue;
             }
-            running.has_begun = running.has_begun || running.start.holds(&act.start, &facts);
-            if running.has_begun && !act.stop.is_empty() && running.stop.holds(&act.stop, &facts) {
-                running.has_stopped = true;
+            let has_begun = self.acts[at].has_begun
+                || self.holds(|stage| &mut stage.acts[at].start, &act.start, time_s);
+            self.acts[at].has_begun = has_begun;
+            if has_begun
+                && !act.stop.is_empty()
+                && self.holds(|stage| &mut stage.acts[at].stop, &act.stop, time_s)
+            {
+                self.acts[at].has_stopped = true;
                 for number in 0..story.events.len() {
                     if story.events[number].act == at {
                         self.stop(number, time_s, true);
@@ -231,15 +227,11 @@ impl Stage {
             if !act.has_begun || act.has_stopped || course.is_over || course.runs {
                 continue;
             }
-            let facts = facts(
-                &self.roads,
-                &self.seen,
-                &self.past,
-                &self.courses,
-                (&self.variables, &self.signals),
+            if self.holds(
+                |stage| &mut stage.events[number].start,
+                &event.start,
                 time_s,
-            );
-            if self.events[number].start.holds(&event.start, &facts) {
+            ) {
                 self.begin(&story, number, time_s);
             }
         }
@@ -247,16 +239,33 @@ impl Stage {
             self.close(&story, number, time_s);
         }
         if !story.stop.is_empty() {
-            let facts = facts(
-                &self.roads,
-                &self.seen,
-                &self.past,
-                &self.courses,
-                (&self.variables, &self.signals),
-                time_s,
-            );
-            self.is_over |= self.stop.holds(&story.stop, &facts);
+            self.is_over |= self.holds(|stage| &mut stage.stop, &story.stop, time_s);
         }
+    }
+
+    /// True if `trigger`, which `watch` remembers, holds now.
+    fn holds(
+        &mut self,
+        watch: impl Fn(&mut Self) -> &mut Watch,
+        trigger: &Trigger,
+        time_s: f64,
+    ) -> bool {
+        // Taken out for the question, which borrows what the conditions are about.
+        let mut asked = std::mem::take(watch(self));
+        let facts = Facts {
+            scene: Scene {
+                roads: &self.roads,
+                all: &self.seen,
+            },
+            past: &self.past,
+            courses: &self.courses,
+            variables: &self.variables,
+            signals: &self.signals,
+            time_s,
+        };
+        let holds = asked.holds(trigger, &facts);
+        *watch(self) = asked;
+        holds
     }
 
     fn begin(&mut self, story: &Story, number: usize, time_s: f64) {
@@ -394,25 +403,6 @@ impl Stage {
         self.seen.truncate(1);
         self.seen.extend(moved);
         self.mark(&ended);
-    }
-}
-
-fn facts<'a>(
-    roads: &'a Roads,
-    seen: &'a [Option<Seen>],
-    past: &'a [Past],
-    courses: &'a [Course],
-    (variables, signals): (&'a HashMap<String, String>, &'a Signals),
-    time_s: f64,
-) -> Facts<'a> {
-    let scene = Scene { roads, all: seen };
-    Facts {
-        scene,
-        past,
-        courses,
-        variables,
-        signals,
-        time_s,
     }
 }
 

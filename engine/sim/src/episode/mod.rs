@@ -263,13 +263,7 @@ fn one_step(
 ) -> Result<StepTime, EpisodeError> {
     let number = rollout.next_step();
     let mut time = StepTime::default();
-    let mut since = Instant::now();
-    let mut lap = || {
-        let now = Instant::now();
-        let taken = now - since;
-        since = now;
-        taken
-    };
+    let mut lap = laps();
     if let Some(renderer) = renderer.as_deref_mut() {
         renderer.draw(rollout.simulation_mut(), number)?;
         time.device = renderer.device_time();
@@ -302,6 +296,17 @@ fn one_step(
     observer.step(step, &readings)?;
     time.observer = lap();
     Ok(time)
+}
+
+/// A clock that tells the time since it was asked before, or made.
+fn laps() -> impl FnMut() -> Duration {
+    let mut since = Instant::now();
+    move || {
+        let now = Instant::now();
+        let taken = now - since;
+        since = now;
+        taken
+    }
 }
 
 /// The plan of `planner` for the next step, made from `readings`.

@@ -201,16 +201,20 @@ impl ObservationRenderer {
         self.renderer.submit(&[WorldView { world, cameras }])
     }
 
+    fn forget_readings(&mut self) {
+        self.images.clear();
+        self.hashed.clear();
+        self.sweeps.clear();
+        self.device_time = Duration::ZERO;
+    }
+
     /// Brings the images that were submitted first to the host, if the step `is_drawn`, or their
     /// hashes alone where nobody looks at them. Readings of earlier steps are gone either way.
     ///
     /// # Errors
     /// Returns an error if the device was lost or has not the memory.
     pub(super) fn finish(&mut self, is_drawn: bool, is_watched: bool) -> Result<(), SessionError> {
-        self.images.clear();
-        self.hashed.clear();
-        self.sweeps.clear();
-        self.device_time = Duration::ZERO;
+        self.forget_readings();
         if !is_drawn {
             return Ok(());
         }
@@ -232,10 +236,7 @@ impl ObservationRenderer {
     /// Returns an error if the device was lost or has not the memory, or the scene has not the
     /// agents' assets.
     pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
-        self.images.clear();
-        self.hashed.clear();
-        self.sweeps.clear();
-        self.device_time = Duration::ZERO;
+        self.forget_readings();
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());
         }

@@ -3,7 +3,9 @@
 
 use std::time::{Duration, Instant};
 
-use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Rollout, StepTime, ask};
+use decouplegs_scene::episode::ReadingRecord;
+
+use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Rollout, StepTime, ask, laps};
 use crate::planner::Planner;
 
 /// The images of steps, one step behind the steps.
@@ -41,13 +43,7 @@ impl<'a> Overlapped<'a> {
     ) -> Result<StepTime, EpisodeError> {
         let number = rollout.next_step();
         let mut time = StepTime::default();
-        let mut since = Instant::now();
-        let mut lap = || {
-            let now = Instant::now();
-            let taken = now - since;
-            since = now;
-            taken
-        };
+        let mut lap = laps();
         let is_drawn = self.renderer.submit(rollout.simulation_mut(), number)?;
         time.draw = lap();
         let before = self.waiting.take();
@@ -79,8 +75,7 @@ impl<'a> Overlapped<'a> {
         let finished = finished.transpose()?;
         time.draw += lap();
         if let Some((step, hashes)) = finished {
-            let step = rollout.set_readings(step, hashes);
-            observer.step(step, &self.renderer.readings())?;
+            self.hand_over(step, hashes, rollout, observer)?;
         }
         time.observer = lap();
         match is_driven {
@@ -100,9 +95,20 @@ impl<'a> Overlapped<'a> {
         let since = Instant::now();
         if let Some((step, is_drawn)) = self.waiting.take() {
             self.renderer.finish(is_drawn, self.is_watched)?;
-            let step = rollout.set_readings(step, self.renderer.hashes());
-            observer.step(step, &self.renderer.readings())?;
+            self.hand_over(step, self.renderer.hashes(), rollout, observer)?;
         }
         Ok(since.elapsed())
+    }
+
+    /// Hands `step`, whose readings are finished, to `observer`.
+    fn hand_over(
+        &self,
+        step: u32,
+        hashes: Vec<ReadingRecord>,
+        rollout: &mut Rollout,
+        observer: &mut dyn EpisodeObserver,
+    ) -> Result<(), EpisodeError> {
+        let step = rollout.set_readings(step, hashes);
+        observer.step(step, &self.renderer.readings())
     }
 }
