@@ -3,7 +3,6 @@
 mod client;
 mod driving;
 mod misbehaving;
-mod not_looking;
 mod open_scenario;
 mod road_course;
 mod road_users;
@@ -12,3 +11,4 @@ mod scene_ahead;
 mod static_world;
 mod traffic_lights;
 mod traffic_signs;
+mod without_readings;

@@ -113,8 +113,8 @@ struct ImageKeeper {
 }
 
 impl EpisodeObserver for ImageKeeper {
-    fn looks(&self) -> bool {
-        self.image_writer.looks()
+    fn uses_readings(&self) -> bool {
+        self.image_writer.keeps_images()
     }
 
     fn begin(

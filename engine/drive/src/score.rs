@@ -74,7 +74,7 @@ pub const WRONG_WAY_FACTOR: f64 = 0.5;
 pub const WRONG_WAY_FAR_FACTOR: f64 = 0.0;
 
 /// Share of the reference's way that is all of it where the scenario's story ended an episode. Our
-/// choice: the reference has nobody before it.
+/// choice: the reference drives without other traffic.
 pub const STORY_SHARE: f64 = 0.5;
 
 /// Score of an episode.

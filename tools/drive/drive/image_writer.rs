@@ -62,7 +62,7 @@ fn sweep_name(step: u32, kind: &str) -> String {
 
 impl ImageWriter {
     /// True if it keeps images.
-    pub fn looks(&self) -> bool {
+    pub fn keeps_images(&self) -> bool {
         self.keeps != Images::None
     }
 
@@ -213,8 +213,8 @@ impl EpisodeImages {
 }
 
 impl EpisodeObserver for EpisodeImages {
-    fn looks(&self) -> bool {
-        self.seen.is_some() || self.image_writer.looks()
+    fn uses_readings(&self) -> bool {
+        self.seen.is_some() || self.image_writer.keeps_images()
     }
 
     fn begin(&mut self, head: &EpisodeHead, start: &EpisodeTick) -> Result<(), EpisodeError> {

@@ -77,8 +77,8 @@ pub trait EpisodeObserver {
         Ok(())
     }
 
-    /// False if it never looks at readings. It may be given none then.
-    fn looks(&self) -> bool {
+    /// False if it never uses readings. It may be given none then.
+    fn uses_readings(&self) -> bool {
         true
     }
 
@@ -99,7 +99,7 @@ pub trait EpisodeObserver {
 
 /// An observer that ignores everything.
 impl EpisodeObserver for () {
-    fn looks(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         false
     }
 
@@ -112,7 +112,8 @@ impl EpisodeObserver for () {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepTime {
     /// Poses, light, the frame on the device, its images back on the host, and sweeps of LiDARs.
-    /// With a planner that looks at none of them ([`Planner::looks`]), what the step waited for.
+    /// With a planner that uses none of them ([`Planner::uses_readings`]), what the step waited
+    /// for.
     pub draw: Duration,
     /// Time of the device for the images, a part of [`StepTime::draw`] where that has all of it.
     pub device: Duration,
@@ -181,10 +182,11 @@ pub fn drive_among(
         begun.map_err(|error| agents_failed(&rollout, error.to_string()))?;
     }
     let mut times: Vec<StepTime> = Vec::new();
-    let looks = planner.looks();
-    let unseen = renderer.take_if(|renderer| !looks && renderer.rig().lidars().next().is_none());
-    let is_watched = observer.looks();
-    let mut ahead = unseen.map(|renderer| Overlapped::new(renderer, is_watched));
+    let uses_readings = planner.uses_readings();
+    let unused =
+        renderer.take_if(|renderer| !uses_readings && renderer.rig().lidars().next().is_none());
+    let is_watched = observer.uses_readings();
+    let mut ahead = unused.map(|renderer| Overlapped::new(renderer, is_watched));
     while rollout.end().is_none() {
         let since = Instant::now();
         if let Some(agents) = agents.as_deref_mut() {

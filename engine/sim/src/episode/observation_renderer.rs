@@ -209,7 +209,8 @@ impl ObservationRenderer {
     }
 
     /// Brings the images that were submitted first to the host, if the step `is_drawn`, or their
-    /// hashes alone where nobody looks at them. Readings of earlier steps are gone either way.
+    /// hashes alone unless they are used (`is_watched`). Readings of earlier steps are gone either
+    /// way.
     ///
     /// # Errors
     /// Returns an error if the device was lost or has not the memory.

@@ -1,4 +1,4 @@
-//! Steps of a planner that looks at no readings: the device draws the images of a step, and they
+//! Steps of a planner that uses no readings: the device draws the images of a step, and they
 //! are hashed, while that step and the next one are driven.
 
 use std::time::{Duration, Instant};
@@ -19,7 +19,7 @@ pub(super) struct Overlapped<'a> {
 
 impl<'a> Overlapped<'a> {
     /// Steps without images yet. `renderer` has no LiDARs, whose sweeps are not traced ahead.
-    /// Unless the observer looks at them (`is_watched`), images stay on the device.
+    /// Unless the observer uses them (`is_watched`), images stay on the device.
     pub(super) fn new(renderer: &'a mut ObservationRenderer, is_watched: bool) -> Self {
         Self {
             renderer,

@@ -41,7 +41,7 @@ impl Planner for Logged<'_> {
         }
     }
 
-    fn looks(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         false
     }
 

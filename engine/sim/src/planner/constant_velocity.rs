@@ -19,7 +19,7 @@ impl Planner for ConstantVelocity {
         ObservationRequest::default()
     }
 
-    fn looks(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         false
     }
 

@@ -85,7 +85,7 @@ impl Planner for LaneFollow {
         }
     }
 
-    fn looks(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         false
     }
 

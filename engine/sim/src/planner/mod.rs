@@ -281,9 +281,9 @@ pub trait Planner: Send {
     /// Returns an error if the planner has no answer, or none in time.
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError>;
 
-    /// False if it never looks at [`Observation::readings`]. It is given none then, and the device
+    /// False if it never uses [`Observation::readings`]. It is given none then, and the device
     /// draws while the next step is driven.
-    fn looks(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         true
     }
 

@@ -59,7 +59,7 @@ impl Planner for Replay {
         }
     }
 
-    fn looks(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         false
     }
 

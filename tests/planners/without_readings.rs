@@ -1,4 +1,4 @@
-//! Planners that look at no images, whose images are drawn while the next step is driven.
+//! Planners that do not use images, whose images are drawn while the next step is driven.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use crate::frames::worlds::{assert_silent, session};
 /// A planner that does what another does, and fails at a step. It is given its readings or not.
 struct Watching<P> {
     inner: P,
-    looks: bool,
+    uses_readings: bool,
     fails_at: Option<u32>,
     seen: usize,
 }
@@ -34,8 +34,8 @@ impl<P: Planner> Planner for Watching<P> {
         self.inner.sees()
     }
 
-    fn looks(&self) -> bool {
-        self.looks
+    fn uses_readings(&self) -> bool {
+        self.uses_readings
     }
 
     fn begin(&mut self, info: &EpisodeInfo) -> Result<(), PlannerError> {
@@ -64,7 +64,7 @@ impl EpisodeObserver for Noted {
 }
 
 #[test]
-fn who_does_not_look_gets_the_episode_of_who_does_with_the_same_images() {
+fn planners_that_use_no_readings_drive_the_same_episode_with_the_same_images() {
     let place = Place::Street {
         weather: Weather::Clear,
         background: 2_000,
@@ -103,18 +103,19 @@ fn who_does_not_look_gets_the_episode_of_who_does_with_the_same_images() {
         (2, 1, None),
     ];
     for (size, every, fails_at) in cases {
-        let driven = |looks: bool| {
+        let driven = |uses_readings: bool| {
             let batch = session.batch_renderer();
             let mut renderer = ObservationRenderer::new(batch, &scene, rigs[size].clone(), every);
             let mut planner = Watching {
                 inner: LaneFollow::default(),
-                looks,
+                uses_readings,
                 fails_at,
                 seen: 0,
             };
             let mut noted = Noted::default();
-            // Again with one renderer: nothing of an episode is left over in it. Nobody watches the
-            // first time, when images are only hashed where the planner does not look either.
+            // Again with one renderer: nothing of an episode is left over in it. Nothing
+            // observes it the first time: images are only hashed if the planner does not use them
+            // either.
             let unwatched = drive(&short, &site, Some(&mut renderer), &mut planner, &mut ());
             let unwatched = unwatched.unwrap().episode;
             let watched = drive(&short, &site, Some(&mut renderer), &mut planner, &mut noted);
@@ -124,17 +125,17 @@ fn who_does_not_look_gets_the_episode_of_who_does_with_the_same_images() {
             assert_eq!(watched.episode, unwatched);
             (watched.episode, noted.0, planner.seen)
         };
-        let ((episode, steps, seen), (looked, looked_steps, looked_seen)) =
+        let ((episode, steps, seen), (waited, waited_steps, waited_seen)) =
             (driven(false), driven(true));
-        assert_eq!(episode, looked);
-        assert!(steps == looked_steps, "other images, or in another order");
-        assert_eq!(seen, 0, "nobody looked");
+        assert_eq!(episode, waited);
+        assert!(steps == waited_steps, "other images, or in another order");
+        assert_eq!(seen, 0, "no readings are given");
         let drawn = steps
             .iter()
             .filter(|(_, images)| !images.is_empty())
             .count();
         let failed = usize::from(fails_at.is_some());
-        assert_eq!(looked_seen, 2 * 2 * (drawn + failed));
+        assert_eq!(waited_seen, 2 * 2 * (drawn + failed));
         assert_eq!(drawn, steps.len().div_ceil(every as usize));
         let hashed = steps.iter().map(|(step, _)| step.readings.len());
         assert_eq!(hashed.sum::<usize>(), 2 * drawn);
