@@ -21,6 +21,15 @@ const SEEN_DEG: f64 = 3.0;
 /// Beams of a sensor without a point in a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EmptyBeams {
+    /// Beams in all directions.
+    pub all: ExtraReturns,
+    /// Beams of them that look up. Most others met dark ground nearby, or the vehicle itself.
+    pub above_horizon: ExtraReturns,
+}
+
+/// Returns of a scene for beams that have none in a scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExtraReturns {
     /// Number of beams.
     pub beams: usize,
     /// Number of them for which the scene has a return all the same.
@@ -42,35 +51,64 @@ impl EmptyBeams {
         world_from_lidar: Pose,
     ) -> Result<Self> {
         let rays = empty(&model.beams(), points_m);
-        let beams = rays.len();
-        if beams == 0 {
-            return Ok(Self {
-                beams,
-                extra: 0,
-                median_m: f64::NAN,
-            });
-        }
-        let lidar = fired_at_once(rays, model.range_m, world_from_lidar);
-        let traced = lidars
-            .trace(scene, &lidar, ReturnMode::Median)
-            .context("the beams without a point in the scan cannot be traced")?;
-        let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
-        let mut ranges_m: Vec<f32> = sweep.returns.iter().map(|found| found.range_m).collect();
-        ranges_m.sort_by(f32::total_cmp);
-        let median_m = ranges_m.get(ranges_m.len() / 2);
+        let (up, down): (Vec<Beam>, Vec<Beam>) = rays
+            .into_iter()
+            .partition(|beam| (world_from_lidar.rotation * beam.direction).z > 0.0);
+        let scene = scene.into();
+        let mut ranges_m = |rays: Vec<Beam>| -> Result<Vec<f32>> {
+            if rays.is_empty() {
+                return Ok(Vec::new());
+            }
+            let lidar = fired_at_once(rays, model.range_m, world_from_lidar);
+            let traced = lidars
+                .trace(scene, &lidar, ReturnMode::Median)
+                .context("the beams without a point in the scan cannot be traced")?;
+            let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
+            Ok(sweep.returns.iter().map(|found| found.range_m).collect())
+        };
+        let (above, beams) = (up.len(), up.len() + down.len());
+        let above_m = ranges_m(up)?;
+        let all_m = [above_m.clone(), ranges_m(down)?].concat();
         Ok(Self {
-            beams,
-            extra: ranges_m.len(),
-            median_m: median_m.map_or(f64::NAN, |range_m| f64::from(*range_m)),
+            all: ExtraReturns::new(beams, all_m),
+            above_horizon: ExtraReturns::new(above, above_m),
         })
     }
 
+    pub fn to_json(self) -> Value {
+        let mut value = self.all.to_json();
+        value["above_horizon"] = self.above_horizon.to_json();
+        value
+    }
+
+    /// Two lines for a person.
+    pub fn to_text(self) -> String {
+        format!(
+            "beams without a return in the scan: {}\n  above the horizon, mostly the sky: {}\n",
+            self.all.to_text(),
+            self.above_horizon.to_text()
+        )
+    }
+}
+
+impl ExtraReturns {
+    /// The returns at `ranges_m`, in any order, of `beams` beams.
+    fn new(beams: usize, mut ranges_m: Vec<f32>) -> Self {
+        ranges_m.sort_by(f32::total_cmp);
+        let median_m = ranges_m.get(ranges_m.len() / 2);
+        Self {
+            beams,
+            extra: ranges_m.len(),
+            median_m: median_m.map_or(f64::NAN, |range_m| f64::from(*range_m)),
+        }
+    }
+
     /// Share of them that the scene has a return for; not a number of none.
-    pub fn share(&self) -> f64 {
+    fn share(&self) -> f64 {
         self.extra as f64 / self.beams as f64
     }
 
-    pub fn to_json(self) -> Value {
+    fn to_json(self) -> Value {
         json!({
             "beams": self.beams,
             "extra": self.extra,
@@ -79,12 +117,11 @@ impl EmptyBeams {
         })
     }
 
-    /// A line for a person.
-    pub fn to_text(self) -> String {
+    fn to_text(self) -> String {
         match self.beams {
-            0 => "beams without a return in the scan: none\n".into(),
+            0 => "none".into(),
             beams => format!(
-                "beams without a return in the scan: {beams}; the scene has one for {:.1} %, at {:.1} m in the median\n",
+                "{beams}; the scene has one for {:.1} %, at {:.1} m in the median",
                 100.0 * self.share(),
                 self.median_m
             ),
@@ -160,23 +197,18 @@ mod tests {
 
     #[test]
     fn they_are_told_in_words_and_numbers() {
-        let some = EmptyBeams {
-            beams: 200,
-            extra: 50,
-            median_m: 12.34,
-        };
-        assert_eq!(some.share(), 0.25);
+        let all = ExtraReturns::new(200, (0..50).map(|at| 12.34 + at as f32 - 25.0).collect());
+        let above_horizon = ExtraReturns::new(0, Vec::new());
+        assert_eq!((all.share(), all.extra), (0.25, 50));
+        let some = EmptyBeams { all, above_horizon };
         let text = some.to_text();
         assert!(
             text.contains("200; the scene has one for 25.0 %, at 12.3 m"),
             "{text}"
         );
-        assert_eq!(some.to_json()["extra"], 50);
-        let none = EmptyBeams {
-            beams: 0,
-            extra: 0,
-            median_m: f64::NAN,
-        };
-        assert!(none.to_text().contains("none") && none.to_json()["share"].is_null());
+        assert!(text.contains("mostly the sky: none"), "{text}");
+        let value = some.to_json();
+        assert_eq!(value["extra"], 50);
+        assert!(value["above_horizon"]["share"].is_null());
     }
 }
