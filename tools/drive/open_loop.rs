@@ -138,9 +138,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
             let rig = renderer.rig().clone();
             let mut shadow = Simulation::new(&episode.head.scenario, &ready.site)?;
             let drawn = |step: u32| -> Result<Images> {
-                renderer
-                    .draw(&mut shadow, step)
-                    .map_err(EpisodeError::from)?;
+                renderer.draw(&shadow, step).map_err(EpisodeError::from)?;
                 let readings = renderer.readings();
                 let images = images(&readings).map(|frame| frame.rgba.to_vec()).collect();
                 shadow.advance(&episode.steps[step as usize].plan);

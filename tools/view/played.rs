@@ -87,7 +87,7 @@ impl Played {
         scene: &Arc<SessionScene>,
     ) -> Result<Self, EpisodeError> {
         let scenario = &episode.episode().head.scenario;
-        let moments = Moments::begin(scenario, &site, scene, 1)?;
+        let moments = Moments::begin(scenario, &site, scene)?;
         Ok(Self::new(Driven::Live(Box::new(episode)), site, moments))
     }
 

@@ -267,7 +267,7 @@ fn one_step(
     let mut time = StepTime::default();
     let mut lap = laps();
     if let Some(renderer) = renderer.as_deref_mut() {
-        renderer.draw(rollout.simulation_mut(), number)?;
+        renderer.draw(rollout.simulation(), number)?;
         time.device = renderer.device_time();
     }
     time.draw = lap();

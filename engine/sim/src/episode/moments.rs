@@ -25,21 +25,15 @@ pub struct Moment {
 }
 
 /// Moments of an episode, in the order of time: the start, and the end of each sub-step.
-///
-/// Vehicles at rendered steps stand as they stood when the log was written: a vehicle remembers the
-/// ground of the last moment that was rendered.
 pub struct Moments {
     moments: Vec<Moment>,
     departs_s: Option<f64>,
-    /// Every how many steps images are rendered.
-    every: u32,
-    drawn: Shown,
-    between: Shown,
+    simulation: Simulation,
+    world: World,
 }
 
 impl Moments {
-    /// The start of `scenario` in `site`, whose copy on the device is `scene`; images are rendered
-    /// at every `every`th step.
+    /// The start of `scenario` in `site`, whose copy on the device is `scene`.
     ///
     /// # Errors
     /// Returns an error if the scenario does not fit `site`, or if `scene` has not the agents'
@@ -48,15 +42,14 @@ impl Moments {
         scenario: &Scenario,
         site: &Arc<Site>,
         scene: &Arc<SessionScene>,
-        every: u32,
     ) -> Result<Self, EpisodeError> {
-        let mut between = Shown::new(Simulation::new(scenario, site)?, scene);
+        let simulation = Simulation::new(scenario, site)?;
+        let mut world = World::empty(scene);
         Ok(Self {
-            moments: vec![between.moment()?],
+            moments: vec![moment(&simulation, &mut world)?],
             departs_s: None,
-            every: every.max(1),
-            drawn: Shown::new(Simulation::new(scenario, site)?, scene),
-            between,
+            simulation,
+            world,
         })
     }
 
@@ -70,10 +63,8 @@ impl Moments {
         scene: &Arc<SessionScene>,
     ) -> Result<Self, EpisodeError> {
         check_version(episode)?;
-        let drawn_by = episode.head.drawn_by.as_ref();
-        let every = drawn_by.map_or(1, |drawn_by| drawn_by.every);
-        let mut moments = Self::begin(&episode.head.scenario, site, scene, every)?;
-        let start = moments.drawn.simulation.instant();
+        let mut moments = Self::begin(&episode.head.scenario, site, scene)?;
+        let start = moments.simulation.instant();
         if start.told_like(&episode.start) != episode.start {
             moments.departs_s = Some(0.0);
         }
@@ -89,28 +80,27 @@ impl Moments {
     /// Returns an error if the scene has not the agents' assets.
     pub fn add(&mut self, step: &EpisodeStep) -> Result<(), EpisodeError> {
         let Self {
-            moments, between, ..
+            moments,
+            simulation,
+            world,
+            ..
         } = self;
         if let Some(last) = moments.last_mut() {
-            if step.step.is_multiple_of(self.every) {
-                *last = self.drawn.moment()?;
-            }
             last.step = Some(step.step);
         }
-        let instants = self.drawn.simulation.advance(&step.plan);
+        let begins_s = simulation.time_s();
+        let mut failed = None;
+        let instants =
+            simulation.advance_with(&step.plan, |simulation| match moment(simulation, world) {
+                Ok(moment) => moments.push(moment),
+                Err(error) => failed = Some(error),
+            });
         let mut pairs = instants.iter().zip(&step.instants);
         let first = pairs.find(|(now, logged)| now.told_like(logged) != **logged);
         let is_other = first.is_some() || instants.len() != step.instants.len();
         if self.departs_s.is_none() && is_other {
-            let ends_s = moments.last().map_or(0.0, |last| last.time_s);
-            self.departs_s = Some(first.map_or(ends_s, |(now, _)| now.time_s));
+            self.departs_s = Some(first.map_or(begins_s, |(now, _)| now.time_s));
         }
-        let mut failed = None;
-        let Shown { simulation, world } = between;
-        simulation.advance_with(&step.plan, |simulation| match moment(simulation, world) {
-            Ok(moment) => moments.push(moment),
-            Err(error) => failed = Some(error),
-        });
         failed.map_or(Ok(()), |error| Err(error.into()))
     }
 
@@ -128,26 +118,7 @@ impl Moments {
     }
 }
 
-/// A simulation, and the world that it is shown in.
-struct Shown {
-    simulation: Simulation,
-    world: World,
-}
-
-impl Shown {
-    fn new(simulation: Simulation, scene: &Arc<SessionScene>) -> Self {
-        Self {
-            simulation,
-            world: World::empty(scene),
-        }
-    }
-
-    fn moment(&mut self) -> Result<Moment, SessionError> {
-        moment(&mut self.simulation, &mut self.world)
-    }
-}
-
-fn moment(simulation: &mut Simulation, world: &mut World) -> Result<Moment, SessionError> {
+fn moment(simulation: &Simulation, world: &mut World) -> Result<Moment, SessionError> {
     let (ego, motion) = simulation.show(world)?;
     Ok(Moment {
         time_s: simulation.time_s(),

@@ -184,7 +184,7 @@ impl ObservationRenderer {
     /// Returns the errors of [`Self::draw`].
     pub(super) fn submit(
         &mut self,
-        simulation: &mut Simulation,
+        simulation: &Simulation,
         step: u32,
     ) -> Result<bool, SessionError> {
         if self.rig.cameras().next().is_none() || !step.is_multiple_of(self.every) {
@@ -236,7 +236,7 @@ impl ObservationRenderer {
     /// # Errors
     /// Returns an error if the device was lost or has not the memory, or the scene has not the
     /// agents' assets.
-    pub fn draw(&mut self, simulation: &mut Simulation, step: u32) -> Result<(), SessionError> {
+    pub fn draw(&mut self, simulation: &Simulation, step: u32) -> Result<(), SessionError> {
         self.forget_readings();
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());

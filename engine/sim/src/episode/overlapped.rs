@@ -44,7 +44,7 @@ impl<'a> Overlapped<'a> {
         let number = rollout.next_step();
         let mut time = StepTime::default();
         let mut lap = laps();
-        let is_drawn = self.renderer.submit(rollout.simulation_mut(), number)?;
+        let is_drawn = self.renderer.submit(rollout.simulation(), number)?;
         time.draw = lap();
         let before = self.waiting.take();
         let (renderer, is_watched) = (&mut *self.renderer, self.is_watched);

@@ -84,11 +84,6 @@ impl Rollout {
         &self.simulation
     }
 
-    /// State of the vehicles, for rendering: vehicles remember on what ground they stood.
-    pub fn simulation_mut(&mut self) -> &mut Simulation {
-        &mut self.simulation
-    }
-
     /// Record so far. Its end is that of an episode whose time is over as long as [`Rollout::end`]
     /// is none.
     #[must_use]
@@ -192,7 +187,7 @@ impl Rollout {
     ///
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
-    pub fn show(&mut self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
+    pub fn show(&self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
         self.simulation.show(world)
     }
 }

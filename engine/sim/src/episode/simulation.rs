@@ -52,8 +52,8 @@ pub struct Simulation {
     signals: Vec<(usize, Pose)>,
     /// Signs that stand beside their lines.
     sign_posts: Vec<(SignKind, Pose)>,
-    /// Heights at which the ego and then the agents stood last; `None` for agents that were not
-    /// shown since they came onto the map.
+    /// Height of the ground below the ego and then the agents at the end of the last step, meters,
+    /// which tells decks apart; `None` for agents that came onto the map since.
     ground_z_m: Vec<Option<f64>>,
     /// Duration of the last sub-step and headings before it, of the ego and then of the agents.
     before: (f64, Vec<Option<f64>>),
@@ -138,7 +138,7 @@ impl Simulation {
         }
         let mut turns = TurnWatch::default();
         let road = road_at(site, &mut turns, &state);
-        Ok(Self {
+        let mut simulation = Self {
             progress,
             road,
             turns,
@@ -159,7 +159,9 @@ impl Simulation {
             substep: 0,
             off_road: (0.0, 0.0),
             end: None,
-        })
+        };
+        simulation.settle();
+        Ok(simulation)
     }
 
     /// Scenario that is driven.
@@ -270,15 +272,11 @@ impl Simulation {
 
     /// Drives `plan` for a step like [`Self::advance`], and calls `after` at the end of each
     /// sub-step.
-    pub fn advance_with(
-        &mut self,
-        plan: &Plan,
-        mut after: impl FnMut(&mut Self),
-    ) -> Vec<EpisodeTick> {
+    pub fn advance_with(&mut self, plan: &Plan, mut after: impl FnMut(&Self)) -> Vec<EpisodeTick> {
         let (substeps, substep_s) = self.scenario.substeps();
         self.ego.follow(plan);
         let mut instants = Vec::with_capacity(substeps as usize);
-        for _ in 0..substeps {
+        for substep in 1..=substeps {
             if self.end.is_some() {
                 break;
             }
@@ -313,6 +311,9 @@ impl Simulation {
                 )
             };
             self.end = self.end_at(&instant);
+            if substep == substeps || self.end.is_some() {
+                self.settle();
+            }
             instants.push(instant);
             after(self);
         }
@@ -385,15 +386,14 @@ impl Simulation {
     }
 
     /// Puts the agents, the lamps of traffic lights and the signs into `world` as they are now, and
-    /// takes out all others. Returns the ego's pose, world coordinates, and its motion. Vehicles
-    /// remember on what ground they stood.
+    /// takes out all others. Returns the ego's pose, world coordinates, and its motion.
     ///
     /// # Errors
     /// Returns an error if the scene of `world` has not the assets.
-    pub fn show(&mut self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
+    pub fn show(&self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
         let recorded = self.recorded_pose(self.time_s());
         let ego =
-            recorded.unwrap_or_else(|| self.stand(0, self.ego.state(), self.scenario.ego.size));
+            recorded.unwrap_or_else(|| self.pose(0, &self.ego.state(), &self.scenario.ego.size));
         let mut placed = Vec::with_capacity(self.agent_sizes.len());
         for index in 0..self.agent_sizes.len() {
             let Some(state) = self.traffic.states()[index] else {
@@ -401,7 +401,7 @@ impl Simulation {
             };
             let (name, kind, asset) = self.scenario.agent(index);
             let (name, asset) = (name.to_owned(), self.site.asset_of(kind, asset));
-            let pose = self.stand(index + 1, state, self.agent_sizes[index]);
+            let pose = self.pose(index + 1, &state, &self.agent_sizes[index]);
             let instance = AgentInstance {
                 asset,
                 pose,
@@ -479,12 +479,26 @@ impl Simulation {
             .map_or(0.0, |point| point.z)
     }
 
-    /// Sets a vehicle on the ground, and remembers how high that is.
-    fn stand(&mut self, vehicle: usize, state: VehicleState, size: VehicleSize) -> Pose {
-        let near_z_m = self.ground_z_m[vehicle].unwrap_or_else(|| self.lane_z_m(vehicle - 1));
-        let pose = self.site.pose_of(&state, &size, near_z_m);
-        self.ground_z_m[vehicle] = Some(pose.translation.z - 0.5 * size.height_m);
-        pose
+    /// Finds the ground below all vehicles.
+    fn settle(&mut self) {
+        let ego = std::iter::once(Some(self.ego.state()));
+        let states = ego.chain(self.traffic.states().iter().copied());
+        let below_m = |(vehicle, state): (usize, Option<VehicleState>)| {
+            let at = state?.position_m;
+            let near_z_m = self.near_z_m(vehicle);
+            Some(self.site.height_at(at, near_z_m).unwrap_or(near_z_m))
+        };
+        self.ground_z_m = states.enumerate().map(below_m).collect();
+    }
+
+    /// Height near which vehicle `vehicle` (0 is the ego) stands, meters.
+    fn near_z_m(&self, vehicle: usize) -> f64 {
+        self.ground_z_m[vehicle].unwrap_or_else(|| self.lane_z_m(vehicle - 1))
+    }
+
+    /// Pose of vehicle `vehicle` on the ground.
+    fn pose(&self, vehicle: usize, state: &VehicleState, size: &VehicleSize) -> Pose {
+        self.site.pose_of(state, size, self.near_z_m(vehicle))
     }
 
     /// The route as a line on the plane, meters.

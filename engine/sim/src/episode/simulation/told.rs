@@ -55,8 +55,7 @@ impl Simulation {
         };
         let route_z_m = |along_m: f64| route.has_height().then(|| route.pose_at(along_m).0.z);
         let located = |tick: &EpisodeTick| {
-            let shown_z_m = self.ground_z_m[0].unwrap_or_default();
-            let near_z_m = route_z_m(at_m(tick)).unwrap_or(shown_z_m);
+            let near_z_m = route_z_m(at_m(tick)).unwrap_or_else(|| self.near_z_m(0));
             LocatedEgo {
                 time_s: tick.time_s,
                 pose: self
