@@ -43,6 +43,7 @@ pub use decouplegs_session::{
 };
 pub use decouplegs_sim::{
     episode, footing, hugsim_import, names, planner, recorded, scenario_import, track_import,
+    winnable,
 };
 pub use decouplegs_synth as synth;
 pub use decouplegs_train as train;

@@ -550,3 +550,33 @@ fn open_scenario_files_are_driven_and_what_is_skipped_is_listed() {
     let output = fail(1, &words);
     assert!(output.contains("none.xodr"), "{output}");
 }
+
+#[test]
+fn scenarios_of_a_run_can_all_be_won_where_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        let street = [
+            "drive",
+            "--level",
+            "hard",
+            "--seed",
+            "101",
+            "--episodes",
+            "8",
+        ];
+        let driven = ["--planner", "lane-follow", "--render", "off"];
+        succeed(&[&street[..], &driven, &["--out", text(&out)], more].concat());
+        let report = fs::read_to_string(out.join("report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+        let episodes = report["episodes"].as_array().unwrap().clone();
+        let won = episodes.iter().filter(|one| one["success"] == true).count();
+        (won, logs(&out))
+    };
+    let (won, _) = run("any", &[]);
+    assert!(won < 8, "{won} of 8");
+    let (won, first) = run("winnable", &["--winnable"]);
+    assert_eq!(won, 8);
+    let (_, again) = run("again", &["--winnable", "--workers", "2"]);
+    assert!(first == again, "the same seed gives the same scenarios");
+}

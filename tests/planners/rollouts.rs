@@ -4,14 +4,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use decouplegs::drive::generate::{Generator, PlaceOptions};
+use decouplegs::drive::score::EpisodeScore;
 use decouplegs::episode::{EpisodeMetadata, Rollout, Site, drive};
 use decouplegs::planner::{
-    ConstantVelocity, EpisodeInfo, Localization, Observation, ObservationRequest, Planner,
-    PlannerError,
+    ConstantVelocity, EpisodeInfo, LaneFollow, Localization, Observation, ObservationRequest,
+    Planner, PlannerError,
 };
 use decouplegs::scene::plan::PlanPoint;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, Plan, Scenario, Weather};
+use decouplegs::winnable::is_winnable;
 
 fn street() -> Arc<Site> {
     let place = Place::Street {
@@ -33,6 +35,48 @@ fn scenario(site: &Site, level: Level, seed: u64) -> Scenario {
         .unwrap()
         .scenario(level, seed, 0)
         .unwrap()
+}
+
+#[test]
+fn scenarios_that_nobody_can_win_are_told_and_have_others_in_their_place() {
+    let site = street();
+    let options = PlaceOptions::Street {
+        background: 0,
+        agent_splats: 0,
+        seed: 1,
+    };
+    let generator = Generator::new(&site.lanes, options, &site.asset_sizes).unwrap();
+    let (level, seed) = (Level::Hard, 101);
+    let is_won = |scenario: &Scenario| is_winnable(scenario, &site).unwrap();
+    let scenario = |index: u32, replacement: u32| {
+        generator
+            .scenario_instead(level, seed, index, replacement)
+            .unwrap()
+    };
+    let lost: Vec<u32> = (0..12)
+        .filter(|&index| !is_won(&scenario(index, 0)))
+        .collect();
+    assert!((1..12).contains(&lost.len()), "{lost:?} of 12");
+    let index = lost[0];
+    let own = scenario(index, 0);
+    assert_eq!(own, generator.scenario(level, seed, index).unwrap());
+    let other = (1..20)
+        .map(|replacement| scenario(index, replacement))
+        .find(is_won)
+        .expect("one of twenty can be won");
+    assert_eq!((&other.name, other.level), (&own.name, own.level));
+    assert_ne!(other.ego, own.ego);
+    // The planner has more time now.
+    let mut planner = LaneFollow::default();
+    let driven = drive(&other, &site, None, &mut planner, &mut ()).unwrap();
+    assert!(EpisodeScore::new(&driven.episode).success);
+    // No time to spare is not enough.
+    let finished_s = driven.episode.steps.len() as f64 * other.step_s;
+    let tight = Scenario {
+        duration_s: finished_s,
+        ..other
+    };
+    assert!(!is_won(&tight));
 }
 
 #[test]

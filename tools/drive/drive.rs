@@ -2,6 +2,7 @@
 
 mod episode_queue;
 mod folder;
+mod generated;
 mod image_writer;
 mod jobs;
 mod overlays;
@@ -119,6 +120,10 @@ pub struct Arguments {
     /// Take the time limit from this level
     #[arg(long, value_name = "LEVEL", value_parser = level)]
     time_budget: Option<Level>,
+    /// Generate only scenarios that can be won: `lane-follow`, which knows everything, comes to the
+    /// end of the route without a fault and with a tenth of the time to spare. Others are replaced
+    #[arg(long)]
+    winnable: bool,
     /// Road users of generated scenarios: cars, or also trucks, buses, cyclists and pedestrians
     #[arg(long, value_name = "cars|mixed", value_enum, default_value_t = RoadUsers::Cars, hide_possible_values = true)]
     road_users: RoadUsers,
@@ -264,6 +269,9 @@ impl Arguments {
         });
         if self.follow_recording {
             settings["follow_recording"] = true.into();
+        }
+        if self.winnable {
+            settings["winnable"] = true.into();
         }
         if let Some(tracks) = self.tracks.to_json() {
             settings["tracks"] = tracks;

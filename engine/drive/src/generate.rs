@@ -64,6 +64,7 @@ const FOR_TRAFFIC: u64 = 1;
 const FOR_TRIES: u64 = 2;
 const FOR_LIGHTS: u64 = 3;
 const FOR_PEDESTRIANS: u64 = 4;
+const FOR_REPLACEMENTS: u64 = 5;
 
 /// Reason why no scenario can be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -217,9 +218,37 @@ impl<'a> Generator<'a> {
     /// [`GenerateError::NoRoute`] and [`GenerateError::NoRoom`], where the map is too small for the
     /// level.
     pub fn scenario(&self, level: Level, seed: u64, index: u32) -> Result<Scenario, GenerateError> {
-        let name = format!("{}_{index:04}", level.name());
+        self.scenario_instead(level, seed, index, 0)
+    }
+
+    /// Scenario `replacement` of those that may stand in the place of scenario `index` of `level`,
+    /// under its name. The one with the number 0 is that scenario itself.
+    ///
+    /// # Errors
+    /// The errors of [`Self::scenario`].
+    pub fn scenario_instead(
+        &self,
+        level: Level,
+        seed: u64,
+        index: u32,
+        replacement: u32,
+    ) -> Result<Scenario, GenerateError> {
         let of_level = Stream::new(seed).split(level as u64);
-        let stream = of_level.split(u64::from(index));
+        let own = of_level.split(u64::from(index));
+        let stream = match replacement {
+            0 => own,
+            _ => own.split(FOR_REPLACEMENTS).split(u64::from(replacement)),
+        };
+        self.from_stream(level, format!("{}_{index:04}", level.name()), &stream)
+    }
+
+    /// The scenario `name` of `level` that the random numbers of `stream` make.
+    fn from_stream(
+        &self,
+        level: Level,
+        name: String,
+        stream: &Stream,
+    ) -> Result<Scenario, GenerateError> {
         let rules = LevelRequirements::new(level, self.difficulty);
         let (least, most) = rules.near;
         let (mut found, mut routes) = (0, 0_u32);

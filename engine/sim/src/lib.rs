@@ -1,8 +1,7 @@
 //! The closed loop: [`episode`] moves the world and renders it, [`planner`] drives the ego,
 //! [`recorded`] takes the ego along the way of a recording, [`track_import`] sets it among recorded
 //! tracks, [`planner::agents`] are programs that drive the traffic, [`footing`] sets agents of
-//! scene files
-//! on the ground.
+//! scene files on the ground, [`winnable`] tells whether a scenario can be won.
 #![forbid(unsafe_code)]
 
 pub mod episode;
@@ -13,3 +12,4 @@ pub mod planner;
 pub mod recorded;
 pub mod scenario_import;
 pub mod track_import;
+pub mod winnable;

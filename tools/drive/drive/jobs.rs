@@ -7,22 +7,21 @@ use anyhow::{Context, Result, anyhow, bail};
 use decouplegs::asset::maps::length_m;
 use decouplegs::asset::packed_scene::is_package;
 use decouplegs::asset::{SceneFile, probe_paths, write_atomically, write_obstacles};
-use decouplegs::drive::generate::{Area, Difficulty, Generator, PlaceOptions, Sky};
+use decouplegs::drive::generate::{Area, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::hugsim_import::import_hugsim_scenario;
 use decouplegs::logs::{read_hugsim_scenario, read_scenario, write_scenario};
 use decouplegs::recorded::recorded_scenario;
 use decouplegs::scenario_import::import_open_scenario;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Air, Drivers, LaneMap, Level, Scenario, Weather};
-use rayon::prelude::*;
+use decouplegs::scene::{Air, Drivers, LaneMap, Scenario, Weather};
 use serde_json::{Value, json};
 
+use super::Arguments;
 use super::folder::RunFolder;
+use super::generated::generated;
 use super::tracks::tracked;
-use super::{Arguments, RoadUsers, TrafficLights};
 use crate::arguments::warn;
-use crate::progress;
 
 /// Place of generated scenarios.
 #[derive(Clone, clap::Args)]
@@ -280,58 +279,6 @@ fn recorded(arguments: &Arguments, folder: &RunFolder) -> Result<Job> {
 
 /// Scenarios of each level, written to the folder of the run, where people can read, edit and drive
 /// them.
-fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> {
-    let site = Site::open(&arguments.place.bare(), Path::new(""), None)
-        .context("no scenarios can be generated here")?;
-    let options = arguments
-        .place
-        .options(arguments.place.background(&site, arguments.render.0 > 0))?;
-    let mut generator = Generator::new(&site.lanes, options, &site.asset_sizes)?;
-    match site.view_support() {
-        Some(support) => generator = generator.seen_from(support.clone()),
-        None => {
-            if let Some(area) = arguments.place.seen(&site) {
-                generator = generator.within(area);
-            }
-        }
-    }
-    if arguments.traffic_lights == TrafficLights::Off {
-        generator = generator.without_lights();
-    }
-    if arguments.road_users == RoadUsers::Mixed {
-        generator = generator.with_road_users(&site.road_users, site.obstacles.clone())?;
-    }
-    let generator = generator.with_difficulty(Difficulty {
-        density: arguments.density,
-        surprise: arguments.surprise,
-        time: arguments.time_budget,
-    });
-    let levels = arguments.levels();
-    let bar = progress::bar("scenarios", levels.len() * arguments.episodes as usize);
-    let places = levels
-        .into_iter()
-        .flat_map(|level| (0..arguments.episodes).map(move |index| (level, index)));
-    let places: Vec<(Level, u32)> = places.collect();
-    // Each follows from its own number.
-    let job = |&(level, index): &(Level, u32)| {
-        let scenario = generator.scenario(level, arguments.seed, index)?;
-        let scenario = stepped(scenario, arguments);
-        let path = folder.scenario(&scenario.name);
-        if !path.exists() {
-            write_scenario(&path, &scenario)?;
-        }
-        bar.inc(1);
-        Ok(Job {
-            scenario,
-            directory: PathBuf::new(),
-            lost: None,
-        })
-    };
-    let jobs = places.par_iter().map(job).collect();
-    bar.finish_and_clear();
-    jobs
-}
-
 /// Weather of a probe, by its name.
 fn weather_of(probe: &Path) -> Weather {
     let name = probe
@@ -495,7 +442,7 @@ impl PlaceArguments {
     }
 
     /// Visible area of a captured scene: around the path of the vehicle that captured it.
-    fn seen(&self, site: &Site) -> Option<Area> {
+    pub fn seen(&self, site: &Site) -> Option<Area> {
         self.scene.as_ref()?;
         let way: Vec<_> = site
             .loaded
