@@ -95,7 +95,9 @@ pub fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
         SceneError {
             line,
             key: "text".into(),
-            reason: "is not UTF-8".into(),
+            reason:
+                "is not UTF-8; expected a TOML file, which is text: splats and packages are none"
+                    .into(),
         }
     })?;
     memory::require_product(
