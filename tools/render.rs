@@ -198,7 +198,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let times_s = match &path {
         Some(path) => follow(path, &mut scene, arguments)?,
-        None => Vec::new(),
+        None => {
+            scene.warn_of_shapes();
+            Vec::new()
+        }
     };
     check_names(&scene.cameras)?;
     if arguments.contact_sheet.is_some() {
