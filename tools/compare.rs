@@ -1,6 +1,6 @@
 //! `decouplegs compare`: how far two images are apart.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use decouplegs_render::metrics::{Difference, difference_image};
@@ -42,14 +42,14 @@ fn positive(text: &str) -> Result<f32, String> {
 
 pub fn run(arguments: &Arguments) -> Result<()> {
     let Arguments { a, b, force, .. } = arguments;
-    let unknown = |path: &Path| {
-        format!(
-            "{}: the image's name must end with .png, .exr or .npy",
-            path.display()
-        )
-    };
     let written = arguments.difference.as_deref().map(|path| {
-        let format = ImageFileFormat::of_path(path).with_context(|| unknown(path))?;
+        let unknown = || {
+            format!(
+                "{}: the image's name must end with .png, .exr or .npy",
+                path.display()
+            )
+        };
+        let format = ImageFileFormat::of_path(path).with_context(unknown)?;
         force.outputs(&[a, b]).file(path)?;
         anyhow::Ok((path, format))
     });

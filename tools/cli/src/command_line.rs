@@ -1,4 +1,4 @@
-//! How the programs read their command lines.
+//! Command lines of the programs, and the words for mistakes in them.
 
 use std::error::Error;
 use std::ffi::OsString;
@@ -14,7 +14,7 @@ pub fn parse<P: Parser>() -> P {
     P::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// What `arguments` say to `command`, or prints what is wrong with them and exits with 2.
+/// Parses `arguments` of `command`, or prints what is wrong with them and exits with 2.
 #[must_use]
 pub fn matches(command: Command, arguments: impl IntoIterator<Item = OsString>) -> ArgMatches {
     try_matches(command, arguments).unwrap_or_else(|error| error.exit())
@@ -67,7 +67,7 @@ fn in_words(error: clap::Error) -> clap::Error {
     clap::Error::raw(ErrorKind::ValueValidation, sentence)
 }
 
-/// What a whole number is expected to be where it was refused as `kind`.
+/// Number that is expected where a whole one was refused as `kind`.
 fn expected_for(kind: &IntErrorKind) -> &'static str {
     match kind {
         IntErrorKind::PosOverflow => "a smaller whole number",

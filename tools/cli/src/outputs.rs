@@ -88,8 +88,8 @@ impl Outputs {
     /// Checks the file `path`, which is written as a whole. A device or a FIFO cannot be lost.
     ///
     /// # Errors
-    /// A sentence if `path` is an input, a folder, taken, named for another output too, or cannot be
-    /// written.
+    /// A sentence if `path` is an input, a folder, taken, named for another output too, or cannot
+    /// be written.
     pub fn file(&mut self, path: &Path) -> Result<()> {
         for input in &self.inputs {
             ensure!(
@@ -182,8 +182,8 @@ fn is_same(one: &Path, other: &Path) -> bool {
     one.is_ok_and(|one| one.is_file() && other.is_ok_and(|other| one == other))
 }
 
-/// `path` in its real folder, so that one file has one name. Links in a folder that is made later are
-/// not known.
+/// `path` in its real folder, so that one file has one name. Links in a folder that is made later
+/// are not known.
 fn placed(path: &Path) -> PathBuf {
     let folder = path
         .parent()

@@ -31,7 +31,7 @@ impl RunFolder {
     pub fn open(root: &Path, settings: &Value) -> Result<Self> {
         // The files of a run that is there stay, and others beside them.
         Force { force: true }.outputs(&[]).folder(root)?;
-        let is_new = !root.join("scenarios").exists();
+        let is_new = !root.join("scenarios").exists() && !root.join("run.json").exists();
         for part in ["scenarios", "logs"] {
             let part = root.join(part);
             fs::create_dir_all(&part)
@@ -61,8 +61,8 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Removes the files of a run that could not begin, so that it keeps nobody from another one. What
-    /// was there before stays.
+    /// Removes the files of a run that could not begin, so that it keeps nobody from another one.
+    /// What was there before stays.
     pub fn forget(self) {
         if !self.is_new {
             return;
@@ -163,10 +163,13 @@ fn first_difference<'a>(
         return (begun != wanted).then(|| (key.to_owned(), begun, wanted));
     };
     let dot = if key.is_empty() { "" } else { "." };
-    fields.iter().find_map(|(name, wanted)| {
+    let found = fields.iter().find_map(|(name, wanted)| {
         let was = begun.get(name).unwrap_or(&Value::Null);
         first_difference(&format!("{key}{dot}{name}"), was, wanted)
-    })
+    });
+    // The run may have been begun with more settings, but none with more parts.
+    let differs = !key.is_empty() && begun != wanted;
+    found.or_else(|| differs.then(|| (key.to_owned(), begun, wanted)))
 }
 
 #[cfg(test)]
@@ -228,6 +231,9 @@ mod tests {
             other.contains("with place.scene = null, and this one has \"street\":"),
             "{other}"
         );
+        let fewer = RunFolder::open(root.path(), &json!({ "place": { "map": null } }));
+        let fewer = fewer.err().unwrap().to_string();
+        assert!(fewer.contains("with place = {"), "{fewer}");
     }
 
     #[test]
@@ -245,5 +251,8 @@ mod tests {
         drop(RunFolder::open(&at("old"), &json!({})).unwrap());
         RunFolder::open(&at("old"), &json!({})).unwrap().forget();
         assert!(at("old/run.json").exists() && at("old/scenarios").exists());
+        fs::remove_dir(at("old/scenarios")).unwrap();
+        RunFolder::open(&at("old"), &json!({})).unwrap().forget();
+        assert!(at("old/run.json").exists());
     }
 }
