@@ -254,7 +254,7 @@ mod tests {
         let written = write_atomically(&missing, |file| file.write_all(b"a"));
         assert_eq!(written.unwrap_err().to_string(), checked);
         assert!(checked.contains("there is no folder"), "{checked}");
-        // A folder that exists and takes no files, of root neither.
+        // A folder that takes no files, not even those of root.
         let taken = write_atomically(Path::new("/proc/a.txt"), |_| Ok(()));
         let taken = taken.unwrap_err().to_string();
         assert!(!taken.contains(TEMPORARY_PREFIX), "{taken}");
