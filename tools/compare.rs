@@ -7,6 +7,7 @@ use decouplegs_render::metrics::{Difference, difference_image};
 use decouplegs_render::rendered_image::{Image, ImageFileFormat};
 
 use crate::arguments::{print, write_image};
+use crate::outputs::Force;
 
 /// Measure the difference between two images (.png, .exr, .npy) of one size
 #[derive(clap::Args)]
@@ -24,6 +25,8 @@ pub struct Arguments {
     /// Amplification of the difference in that image
     #[arg(long, default_value_t = 16.0, requires = "difference", value_parser = positive)]
     gain: f32,
+    #[command(flatten)]
+    force: Force,
 }
 
 fn positive(text: &str) -> Result<f32, String> {
@@ -38,7 +41,20 @@ fn positive(text: &str) -> Result<f32, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let (a, b) = (Image::read(&arguments.a)?, Image::read(&arguments.b)?);
+    let Arguments { a, b, force, .. } = arguments;
+    let written = arguments.difference.as_deref().map(|path| {
+        let unknown = || {
+            format!(
+                "{}: the image's name must end with .png, .exr or .npy",
+                path.display()
+            )
+        };
+        let format = ImageFileFormat::of_path(path).with_context(unknown)?;
+        force.outputs(&[a, b]).file(path)?;
+        anyhow::Ok((path, format))
+    });
+    let written = written.transpose()?;
+    let (a, b) = (Image::read(a)?, Image::read(b)?);
     let names = || {
         format!(
             "{} and {} cannot be compared",
@@ -47,19 +63,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         )
     };
     let difference = Difference::between(&a, &b).with_context(names)?;
-    if let Some(path) = &arguments.difference {
+    if let Some((path, format)) = written {
         let image = difference_image(&a, &b, arguments.gain).with_context(names)?;
-        let unknown = || {
-            format!(
-                "{}: the image's name must end with .png, .exr or .npy",
-                path.display()
-            )
-        };
-        write_image(
-            path,
-            &image,
-            ImageFileFormat::of_path(path).with_context(unknown)?,
-        )?;
+        write_image(path, &image, format)?;
     }
     if arguments.json {
         return print(&format!("{:#}\n", serde_json::to_value(difference)?));

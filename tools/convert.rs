@@ -18,7 +18,7 @@ use decouplegs_asset::{
 use decouplegs_scene::ShFrame;
 
 use crate::arguments::print;
-use crate::outputs::Force;
+use crate::outputs::{Force, Outputs};
 use crate::progress;
 use format::Format;
 use report::Report;
@@ -74,7 +74,7 @@ fn rate(text: &str) -> Result<f64, String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let mut inputs = vec![arguments.input.as_path()];
     inputs.extend(arguments.tracks.as_deref());
-    let outputs = arguments.force.outputs(&inputs);
+    let mut outputs = arguments.force.outputs(&inputs);
     // What becomes a scene, in a folder, is known only when it was read.
     if arguments.output.is_file() {
         outputs.file(&arguments.output)?;
@@ -105,18 +105,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     match scene {
         Some(scene) => write_scene(arguments, &scene),
         None if is_package(&arguments.input) => unpack(arguments),
-        None => write_splats(arguments),
+        None => write_splats(arguments, &mut outputs),
     }
 }
 
 /// Splats to splats.
-fn write_splats(arguments: &Arguments) -> Result<()> {
+fn write_splats(arguments: &Arguments, outputs: &mut Outputs) -> Result<()> {
     let format = match arguments.to {
         Some(format) => format,
         None => Format::of_path(&arguments.output)?,
     };
-    let outputs = arguments.force.outputs(&[&arguments.input]);
-    outputs.file(&arguments.output)?;
+    if !arguments.output.is_file() {
+        outputs.file(&arguments.output)?;
+    }
     let reading = progress::spinner(format!("reading {}", arguments.input.display()));
     let before = read_splats(&arguments.input)?;
     reading.finish_and_clear();

@@ -38,7 +38,7 @@ fn ply_path(text: &str) -> Result<PathBuf, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let outputs = arguments.force.outputs(&[&arguments.file]);
+    let mut outputs = arguments.force.outputs(&[&arguments.file]);
     outputs.file(&arguments.out)?;
     let cloud = read_coded(&arguments.file)?.cloud;
     let levels = cloud.levels.len();

@@ -64,7 +64,7 @@ fn main() -> ExitCode {
         return exit_code(&programs::run(program, command, &arguments));
     }
     print_warnings();
-    let matches = command_line().get_matches_from(arguments);
+    let matches = decouplegs_cli::command_line::matches(command_line(), arguments);
     let program = Program::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     exit_code(&match &program.command {
         Command::Render(arguments) => render::run(arguments),

@@ -198,9 +198,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let times_s = match &path {
         Some(path) => follow(path, &mut scene, arguments)?,
-        None => Vec::new(),
+        None => {
+            scene.warn_of_shapes();
+            Vec::new()
+        }
     };
     check_names(&scene.cameras)?;
+    if arguments.contact_sheet.is_some() {
+        let format = ImageFileFormat::from(arguments.format);
+        let images = scene.cameras.iter();
+        images
+            .map(|camera| image_path(&arguments.out, camera, format))
+            .try_for_each(|image| outputs.file(&image))?;
+    }
     if arguments.layer == LayerName::Agents {
         // What is laid over another image has the colors of the scene.
         let cameras = scene.cameras.iter_mut();
@@ -318,13 +328,16 @@ struct ImageWriter<'a> {
     boxes: Option<BoxList<'a>>,
 }
 
+/// The file of the image of `camera` in the folder `out`.
+fn image_path(out: &Path, camera: &Camera, format: ImageFileFormat) -> PathBuf {
+    out.join(format!("{}.{}", camera.name, format.extension()))
+}
+
 impl ImageWriter<'_> {
     fn add(&mut self, camera: &Camera, image: Image) -> Result<()> {
         fs::create_dir_all(self.out)
             .with_context(|| format!("{} cannot be made", self.out.display()))?;
-        let path = self
-            .out
-            .join(format!("{}.{}", camera.name, self.format.extension()));
+        let path = image_path(self.out, camera, self.format);
         self.write(&path, &image, self.format)?;
         print(&format!("{}\n", path.display()))?;
         for plane in self.planes {

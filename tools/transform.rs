@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let mut inputs = vec![input.as_path()];
     inputs.extend(arguments.steps.merged());
-    let outputs = arguments.force.outputs(&inputs);
+    let mut outputs = arguments.force.outputs(&inputs);
     outputs.file(output)?;
     if let Some(report) = &arguments.report {
         outputs.file(report)?;

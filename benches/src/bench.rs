@@ -267,6 +267,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let written = [&arguments.json, &arguments.trace, &arguments.trace_image];
     arguments.force.files(&[], written.into_iter().flatten())?;
     let mut scene = Scene::open(&arguments.scene)?;
+    scene.warn_of_shapes();
     let used = arguments.cameras_used.unwrap_or(scene.cameras.len());
     ensure!(
         (1..=scene.cameras.len()).contains(&used),

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use decouplegs_benches::{ablate, bench, stress};
+use decouplegs_cli::command_line::parse;
 use decouplegs_cli::programs::{exit_code, print_warnings};
 
 /// Measures speed, memory and error, and what each part of the system is worth.
@@ -24,7 +25,7 @@ enum Command {
 
 fn main() -> ExitCode {
     print_warnings();
-    exit_code(&match &Program::parse().command {
+    exit_code(&match &parse::<Program>().command {
         Command::Bench(arguments) => bench::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),
         Command::Ablate(arguments) => ablate::run(arguments),

@@ -32,6 +32,9 @@ fn two_runs_are_compared_episode_by_episode() {
         "{differ}"
     );
     assert!(differ.contains("part at"), "{differ}");
+    assert!(differ.contains("DS: driving score, SR: success rate"));
+    let alone: Vec<&str> = [&["score"][..], &[&careful[0]]].concat();
+    assert!(succeed(&alone).contains("DS: driving score, SR: success rate, RC: route completion"));
     let page = fs::read_to_string(folder.path().join("compared/comparison.html")).unwrap();
     assert!(page.contains("easy_0000") && page.contains("Differences of driving scores"));
     let report = fs::read_to_string(folder.path().join("compared/comparison.json")).unwrap();

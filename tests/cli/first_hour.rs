@@ -68,13 +68,21 @@ fn a_size_of_another_shape_is_warned_of() {
     let folder = tempfile::tempdir().unwrap();
     small_street(folder.path());
     let (scene, out) = (folder.path().join("scene.toml"), folder.path().join("out"));
-    let warned = |size: &str| {
+    let warnings = |size: &str, more: &[&str]| {
         let render = ["render", text(&scene), "--size", size, "--force"];
-        let output = decouplegs(&[&render[..], &["--out", text(&out)]].concat());
+        let output = decouplegs(&[&render[..], &["--out", text(&out)], more].concat());
         assert_eq!(output.status.code(), Some(0));
-        String::from_utf8_lossy(&output.stderr).contains("squeezed")
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        said.matches("squeezed").count()
     };
-    assert!(warned("60x60") && !warned("64x36"));
+    assert_eq!((warnings("60x60", &[]), warnings("64x36", &[])), (6, 0));
+    // Cameras that are not drawn squeeze nothing.
+    assert_eq!(warnings("60x60", &["--cameras", "front,back"]), 2);
+    assert_eq!(warnings("60x60", &["--view", "0,0,2,0,0,0,1,60"]), 0);
+    let path = folder.path().join("path.json");
+    let keys = r#"{"camera_path": 1, "keys": [{"time_s": 0, "position_m": [0, 0, 2], "rotation": [0, 0, 0, 1], "fov_deg": 60}]}"#;
+    fs::write(&path, keys).unwrap();
+    assert_eq!(warnings("60x60", &["--camera-path", text(&path)]), 0);
 }
 
 #[test]

@@ -21,6 +21,7 @@ mod hugsim_scenarios;
 mod interfaces;
 mod lidar;
 mod map;
+mod mistakes;
 mod power_cut;
 mod programs;
 mod realism;

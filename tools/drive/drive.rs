@@ -71,10 +71,12 @@ enum RoadUsers {
 /// Drive episodes in closed loop: render the cameras, ask the planner, move the ego, let traffic
 /// react. Finished episodes stay in --out; the same command resumes a stopped run
 #[derive(clap::Args)]
+#[command(group = clap::ArgGroup::new("what").required(true).multiple(true)
+    .args(["scenarios", "level", "follow_recording", "tracks"]))]
 pub struct Arguments {
     /// Scenarios (.toml), OpenSCENARIO files (.xosc), or scenarios of HUGSIM (.yaml, in --scene) to
     /// drive, one episode each
-    #[arg(required_unless_present_any = ["level", "follow_recording", "tracks"], value_name = "SCENARIO")]
+    #[arg(value_name = "SCENARIO")]
     scenarios: Vec<PathBuf>,
     /// Generate scenarios of these levels: easy, medium, hard, extreme or all
     #[arg(long, value_name = "LEVEL", value_delimiter = ',', value_parser = levels, conflicts_with = "scenarios")]
@@ -371,7 +373,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     drop(planner);
     drop(arguments.agents()?);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
-    let jobs = jobs::list(arguments, &folder)?;
+    let jobs = match jobs::list(arguments, &folder) {
+        Ok(jobs) => jobs,
+        Err(error) => {
+            folder.forget();
+            return Err(error);
+        }
+    };
     let devices = opened(arguments)?;
     let appearance = Appearance {
         transfer: transfer_in(arguments.light.as_deref())?,

@@ -117,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
     let [from, to] =
         [&arguments.scene, &arguments.out].map(|file| file.parent().unwrap_or(Path::new("")));
-    let outputs = arguments.force.outputs(&[&arguments.scene]);
+    let mut outputs = arguments.force.outputs(&[&arguments.scene]);
     outputs.file(&arguments.out)?;
     let mut edited = scene.moved_to_folder(from, to).with_context(|| {
         format!(

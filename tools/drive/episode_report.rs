@@ -94,7 +94,7 @@ fn with_interval(mean: f64, interval: Option<[f64; 2]>, digits: usize) -> String
 /// The table of the paper, a line a level.
 pub fn text(scored: &[Scored]) -> Result<String> {
     let mut text = format!(
-        "means with their 95 % confidence intervals\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9} {:>9}\n",
+        "means with their 95 % confidence intervals; DS: driving score, SR: success rate, RC: route completion, minTTC: least time to collision\n{:<8} {:>8}  {:>20}  {:>17}  {:>20}  {:>18}  {:>10} {:>8} {:>8} {:>8} {:>9} {:>9}\n",
         "level",
         "episodes",
         "DS",

@@ -26,6 +26,7 @@ mod sites;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use decouplegs_cli::command_line::parse;
 use decouplegs_cli::programs::{exit_code, print_warnings};
 use decouplegs_cli::{
     arguments, background, device, outputs, page, plot, progress, thumbnail, views,
@@ -58,7 +59,7 @@ enum Command {
 
 fn main() -> ExitCode {
     print_warnings();
-    exit_code(&match &Program::parse().command {
+    exit_code(&match &parse::<Program>().command {
         Command::Import(arguments) => import::run(arguments),
         Command::Lidar(arguments) => lidar::run(arguments),
         Command::Edit(arguments) => edit::run(arguments),

@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             .into_iter()
             .filter_map(|path| path.as_deref()),
     );
-    let outputs = arguments.force.outputs(&inputs);
+    let mut outputs = arguments.force.outputs(&inputs);
     outputs.file(&arguments.out)?;
     if let Some(report) = &arguments.report {
         outputs.file(report)?;

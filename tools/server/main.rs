@@ -13,6 +13,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
 use decouplegs::asset::write_atomically;
 use decouplegs_cli::arguments::print;
+use decouplegs_cli::command_line::parse;
 use decouplegs_cli::programs::exit_code;
 use decouplegs_server::bench::{self, BenchOptions};
 use decouplegs_server::conform::{self, ConformOptions, Report};
@@ -46,7 +47,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let started = Instant::now();
-    let done = match Program::parse().command {
+    let done = match parse::<Program>().command {
         Command::Serve(options) => serve(&options),
         Command::Bench(options) => {
             log(LogForm::Text, "warn");

@@ -4,6 +4,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use decouplegs_cli::command_line::parse;
 use decouplegs_cli::programs::{exit_code, print_warnings};
 use decouplegs_view as view;
 
@@ -22,7 +23,7 @@ enum Command {
 
 fn main() -> ExitCode {
     print_warnings();
-    let Command::View(arguments) = Program::parse().command;
+    let Command::View(arguments) = parse::<Program>().command;
     exit_code(&view::run(&arguments))
 }
 

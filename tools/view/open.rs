@@ -155,6 +155,7 @@ impl SourceArguments {
         );
         let open = |path: &Path| -> Result<Source> {
             let scene = Scene::with_options(path, &self.options)?;
+            scene.warn_of_shapes();
             let copying = progress::spinner(format!("copying {} to the device", path.display()));
             let course = SceneCourse::new(scene, path, self.map.as_deref())?;
             let source = Source::of_scene(course, path.display().to_string(), session)?;

@@ -1,6 +1,6 @@
 //! Output files that are complete or absent.
 
-use std::fs::{File, Metadata, OpenOptions, Permissions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
@@ -92,15 +92,8 @@ pub fn check_writable(path: &Path) -> Result<(), AssetError> {
             return OpenOptions::new().write(true).open(path).map(drop);
         }
         let file = followed(path)?;
-        let folder = directory_of(&file);
-        if !folder.is_dir() {
-            let folder = folder.display();
-            return Err(io::Error::other(format!(
-                "there is no folder {folder}; make it first"
-            )));
-        }
         // Gone as soon as it is made.
-        temporary_name().tempfile_in(folder).map(drop)
+        temporary_in(directory_of(&file)).map(drop)
     };
     check().map_err(|source| AssetError::Write {
         path: path.to_owned(),
@@ -145,7 +138,7 @@ fn write_at(
         }
         // Whatever is wrong with the directory, the next call tells it too.
         Err(_) => {
-            let mut temporary = temporary_name().tempfile_in(directory)?;
+            let mut temporary = temporary_in(directory)?;
             fill_file(temporary.as_file_mut(), fill)?;
             finish(temporary.as_file(), there)?;
             let named = match replaces {
@@ -194,11 +187,27 @@ fn give_name(file: &File, path: &Path, replaces: Replaces) -> io::Result<()> {
     }
 }
 
+/// A new temporary file in `folder`, as readable as any file the user creates. Its name, which
+/// nobody gave, is not in errors.
+fn temporary_in(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+    if !folder.is_dir() {
+        let folder = folder.display();
+        return Err(io::Error::other(format!(
+            "there is no folder {folder}; make it first"
+        )));
+    }
+    let mut reason = None;
+    let made = temporary_name().make_in(folder, |name| {
+        let mut options = OpenOptions::new();
+        let opened = options.read(true).write(true).create_new(true).open(name);
+        opened.inspect_err(|error| reason = error.raw_os_error())
+    });
+    made.map_err(|error| reason.map_or(error, io::Error::from_raw_os_error))
+}
+
 fn temporary_name() -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(TEMPORARY_PREFIX);
-    // Temporary files are private by default; a result is as readable as any file the user creates.
-    builder.permissions(<Permissions as std::os::unix::fs::PermissionsExt>::from_mode(0o666));
     builder
 }
 
@@ -238,6 +247,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_name_that_nobody_gave_is_not_in_errors() {
+        let directory = tempfile::tempdir().unwrap();
+        let missing = directory.path().join("none/a.txt");
+        let checked = check_writable(&missing).unwrap_err().to_string();
+        let written = write_atomically(&missing, |file| file.write_all(b"a"));
+        assert_eq!(written.unwrap_err().to_string(), checked);
+        assert!(checked.contains("there is no folder"), "{checked}");
+        // A folder that takes no files, not even those of root.
+        let taken = write_atomically(Path::new("/proc/a.txt"), |_| Ok(()));
+        let taken = taken.unwrap_err().to_string();
+        assert!(!taken.contains(TEMPORARY_PREFIX), "{taken}");
+    }
+
+    #[test]
     fn a_failed_write_leaves_the_old_file_and_no_litter() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.txt");
@@ -259,6 +282,7 @@ mod tests {
 
     #[test]
     fn links_are_followed_and_permissions_stay() {
+        use std::fs::Permissions;
         use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);

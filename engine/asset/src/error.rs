@@ -132,10 +132,23 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, AssetError> {
     })
 }
 
+/// Checks that [`read_bytes`] could begin to read `path`: before a complaint about what is in it.
+///
+/// # Errors
+/// [`AssetError::Read`] when `path` is no regular file or cannot be opened.
+pub fn check_readable(path: &Path) -> Result<(), AssetError> {
+    let opened = regular_file(path).and_then(|_| std::fs::File::open(path));
+    opened.map(drop).map_err(|source| AssetError::Read {
+        path: path.to_owned(),
+        source,
+    })
+}
+
 /// Bytes of a file that one thread reads at a time.
 const PIECE_BYTES: usize = 1 << 23;
 
-fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
+/// The metadata of `path`, which is a regular file.
+fn regular_file(path: &Path) -> io::Result<std::fs::Metadata> {
     // Examined before it is opened: opening a FIFO waits for its writer.
     let metadata = std::fs::metadata(path)?;
     if metadata.is_dir() {
@@ -146,6 +159,11 @@ fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
             "it is a device, a FIFO or a socket; expected a regular file: save the data to one first",
         ));
     }
+    Ok(metadata)
+}
+
+fn read_regular_file(path: &Path) -> io::Result<Vec<u8>> {
+    let metadata = regular_file(path)?;
     memory::require("reading it", metadata.len()).map_err(io::Error::other)?;
     let length = usize::try_from(metadata.len()).unwrap_or(usize::MAX);
     let mut bytes = Vec::new();

@@ -64,7 +64,7 @@ pub use atomic::sync_directory_of;
 pub use atomic::{Replaces, TEMPORARY_PREFIX, check_writable, write_atomically, write_in_folder};
 pub use cameras::{CameraOptions, read_cameras};
 pub use coded_asset::{CodedAsset, CodedSummary, Provenance, read_coded, write_coded};
-pub use error::{AssetError, DecodeError, EncodeError, SceneError, read_bytes};
+pub use error::{AssetError, DecodeError, EncodeError, SceneError, check_readable, read_bytes};
 pub use extent::SplatExtent;
 pub use ground_file::{read_ground, write_ground};
 pub use lidar_file::{lidar_names, read_lidar};

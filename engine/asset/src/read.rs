@@ -77,6 +77,9 @@ impl SplatFormat {
             _ if extension.eq_ignore_ascii_case("gltf") => {
                 Err("a glTF of text with its data in other files; write it as one .glb file".into())
             }
+            _ if extension.eq_ignore_ascii_case("toml") => {
+                Err("a scene or a scenario, whose splats are in the files that it names".into())
+            }
             _ if extension.eq_ignore_ascii_case("ksplat") => {
                 Err("a .ksplat; convert it with splat-transform to .ply or .sog".into())
             }
@@ -221,8 +224,16 @@ pub fn read_placed_splats(path: &Path) -> Result<PlacedSplats, AssetError> {
         }
         let read = if is_set(path) {
             sog::read_set(path)
-        } else {
+        } else if path.join(sog::META).exists() {
             sog::read_folder(path)
+        } else {
+            return Err(AssetError::Read {
+                path: path.to_owned(),
+                source: std::io::Error::other(format!(
+                    "it is a folder with neither a {} nor a point_cloud; expected a file of splats, an unzipped SOG, or the folder of a model",
+                    sog::META
+                )),
+            });
         };
         return read.map(PlacedSplats::from);
     }

@@ -74,11 +74,19 @@ pub fn syntax_error(text: &str, error: &toml::de::Error) -> SceneError {
     } else {
         key
     };
-    SceneError {
-        line,
-        key,
-        reason: error.message().to_owned(),
-    }
+    // One of several tables that was written as the only one.
+    let table = found
+        .strip_prefix('[')
+        .and_then(|found| found.strip_suffix(']'));
+    let reason = match (error.message(), table) {
+        ("invalid type: map, expected a sequence", Some(table)) => {
+            format!(
+                "expected a table in double brackets, [[{table}]], of which there may be several"
+            )
+        }
+        (message, _) => message.to_owned(),
+    };
+    SceneError { line, key, reason }
 }
 
 /// Most dots of a key, such as `agent.trajectory.time_s`. The parser makes a table for each, so
@@ -95,7 +103,9 @@ pub fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
         SceneError {
             line,
             key: "text".into(),
-            reason: "is not UTF-8".into(),
+            reason:
+                "is not UTF-8; expected a TOML file, which is text: splats and packages are none"
+                    .into(),
         }
     })?;
     memory::require_product(
@@ -132,6 +142,21 @@ pub fn text_of(bytes: &[u8]) -> Result<&str, SceneError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_that_may_be_there_several_times_has_double_brackets() {
+        #[derive(Debug, serde::Deserialize)]
+        struct Form {
+            #[serde(rename = "ego")]
+            _egos: Vec<toml::Table>,
+        }
+        let text = "version = 1\n[ego]\nposes = []\n";
+        let error = toml::from_str::<Form>(text).unwrap_err();
+        assert_eq!(
+            syntax_error(text, &error).to_string(),
+            "line 2, [ego]: expected a table in double brackets, [[ego]], of which there may be several"
+        );
+    }
 
     #[test]
     fn deep_keys_are_refused_by_their_line() {

@@ -51,7 +51,7 @@ pub enum GpuError {
     },
     /// A buffer longer than a shader may bind on this device.
     #[error(
-        "buffer {name}: {wanted_bytes} bytes wanted, but a storage buffer has at most {limit_bytes} bytes on this device: split it or render less"
+        "buffer {name}: {wanted_bytes} bytes wanted, but a storage buffer has at most {limit_bytes} bytes on this device: draw smaller images or fewer splats, or choose another device"
     )]
     BufferTooLarge {
         /// The buffer's name.

@@ -46,7 +46,7 @@ pub fn finite(text: &str) -> Result<f64, String> {
         .parse()
         .ok()
         .filter(|number: &f64| number.is_finite() && number.abs() <= 1e12);
-    parsed.ok_or_else(|| format!("expected a number, found {text:?}"))
+    parsed.ok_or_else(|| format!("expected a number of at most 1e12, found {text:?}"))
 }
 
 /// Three numbers of at most `most` with commas between them. None for any other text.

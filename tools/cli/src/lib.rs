@@ -4,6 +4,7 @@
 //! | module | content |
 //! |---|---|
 //! | `programs` | the programs, their subcommands and their exit codes |
+//! | `command_line` | how command lines are read, and what mistakes in them are told |
 //! | `arguments`, `device`, `scene_source`, `orbit`, `background` | arguments of several subcommands, and what they open |
 //! | `free_view`, `camera_path` | a pinhole as numbers; its way through keyframes |
 //! | `outputs` | files and folders that are written, checked before work begins |
@@ -20,6 +21,8 @@ pub mod arguments;
 pub mod background;
 #[doc(hidden)]
 pub mod camera_path;
+#[doc(hidden)]
+pub mod command_line;
 #[doc(hidden)]
 pub mod device;
 #[doc(hidden)]

@@ -54,6 +54,7 @@ impl Force {
         Outputs {
             force: self.force,
             inputs: inputs.iter().map(|input| input.to_path_buf()).collect(),
+            files: vec![],
             folders: vec![],
         }
     }
@@ -67,16 +68,18 @@ impl Force {
         inputs: &[&Path],
         files: impl IntoIterator<Item = &'a PathBuf>,
     ) -> Result<()> {
-        let outputs = self.outputs(inputs);
+        let mut outputs = self.outputs(inputs);
         files.into_iter().try_for_each(|file| outputs.file(file))
     }
 }
 
-/// Checks of outputs by one rule: an input is never replaced, and nothing that exists is without
-/// [`Force`].
+/// Checks of outputs by one rule: an input is never replaced, nothing that exists is without
+/// [`Force`], and no output takes the place of another one.
 pub struct Outputs {
     force: bool,
     inputs: Vec<PathBuf>,
+    /// Files that were checked, each in its real folder.
+    files: Vec<PathBuf>,
     /// Folders that are made before the files in them are.
     folders: Vec<PathBuf>,
 }
@@ -85,8 +88,9 @@ impl Outputs {
     /// Checks the file `path`, which is written as a whole. A device or a FIFO cannot be lost.
     ///
     /// # Errors
-    /// A sentence if `path` is an input, a folder, taken, or cannot be written.
-    pub fn file(&self, path: &Path) -> Result<()> {
+    /// A sentence if `path` is an input, a folder, taken, named for another output too, or cannot
+    /// be written.
+    pub fn file(&mut self, path: &Path) -> Result<()> {
         for input in &self.inputs {
             ensure!(
                 !is_same(input, path),
@@ -106,6 +110,15 @@ impl Outputs {
             .any(|folder| path.parent() == Some(folder.as_path()));
         if !is_in_new_folder || path.exists() {
             check_writable(path)?;
+        }
+        if !path.exists() || path.is_file() {
+            let place = placed(path);
+            ensure!(
+                !self.files.contains(&place),
+                "{} is named for two outputs: the second would replace the first; give each a name of its own",
+                path.display()
+            );
+            self.files.push(place);
         }
         Ok(())
     }
@@ -169,6 +182,20 @@ fn is_same(one: &Path, other: &Path) -> bool {
     one.is_ok_and(|one| one.is_file() && other.is_ok_and(|other| one == other))
 }
 
+/// `path` in its real folder, so that one file has one name. Links in a folder that is made later
+/// are not known.
+fn placed(path: &Path) -> PathBuf {
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    let real = folder
+        .canonicalize()
+        .or_else(|_| std::path::absolute(folder));
+    let folder = real.unwrap_or_else(|_| folder.to_owned());
+    folder.join(path.file_name().unwrap_or_default())
+}
+
 fn has_file_name(path: &Path) -> bool {
     let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
     FILE_EXTENSIONS.iter().any(|known| extension == *known)
@@ -192,13 +219,15 @@ mod tests {
         std::os::unix::fs::symlink("in.ply", at("link.ply")).unwrap();
         std::os::unix::fs::symlink("nowhere", at("dangling.ply")).unwrap();
         let input = at("in.ply");
-        let [plain, forced] = [false, true].map(|force| Force { force }.outputs(&[&input]));
-        for outputs in [&plain, &forced] {
+        let [mut plain, mut forced] = [false, true].map(|force| Force { force }.outputs(&[&input]));
+        for outputs in [&mut plain, &mut forced] {
             refused(outputs.file(&at("in.ply")), "is read");
             refused(outputs.file(&at("link.ply")), "is read");
             refused(outputs.file(&at("none/a.ply")), "no folder");
             refused(outputs.file(directory.path()), "folder");
             outputs.file(&at("new.ply")).unwrap();
+            refused(outputs.file(&at("./new.ply")), "two outputs");
+            outputs.file(Path::new("/dev/null")).unwrap();
             outputs.file(Path::new("/dev/null")).unwrap();
         }
         for taken in ["old.ply", "dangling.ply"] {

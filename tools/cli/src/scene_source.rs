@@ -133,33 +133,28 @@ pub struct Scene {
     pub cameras: Vec<Camera>,
     /// True if the cameras are the ego vehicle's, and drive with it.
     drives: bool,
+    /// A sentence for each camera whose image is squeezed.
+    squeezed: Vec<String>,
 }
 
 /// Shapes that differ by less count as one: 1600x900 and 320x180 as well as 854x480.
 const SHAPE_TOLERANCE: f64 = 0.01;
 
-/// `intrinsics` at the size asked for. An image of another shape is squeezed, and a warning says
-/// so.
-fn resized(name: &str, intrinsics: &Intrinsics, size_px: Option<[u32; 2]>) -> Intrinsics {
-    let Some([width_px, height_px]) = size_px else {
-        return *intrinsics;
-    };
-    let shape = |width_px: u32, height_px: u32| f64::from(width_px) / f64::from(height_px);
-    let (own, wanted) = (
-        shape(intrinsics.width_px, intrinsics.height_px),
-        shape(width_px, height_px),
-    );
-    if (wanted / own - 1.0).abs() > SHAPE_TOLERANCE {
-        let (own_px, height) = (
-            [intrinsics.width_px, intrinsics.height_px],
-            (f64::from(width_px) / own).round(),
-        );
-        warn(&format!(
-            "camera {name} is {}x{}, and --size {width_px}x{height_px} has another shape: its image is squeezed. {width_px}x{height} keeps it",
-            own_px[0], own_px[1]
-        ));
-    }
-    intrinsics.resized(width_px, height_px)
+/// Gives the camera called `name` the size asked for. A sentence where its image has another shape,
+/// so that it is squeezed.
+fn resize(name: &str, own: &mut Intrinsics, size_px: Option<[u32; 2]>) -> Option<String> {
+    let [width_px, height_px] = size_px?;
+    let (own_width_px, own_height_px) = (own.width_px, own.height_px);
+    *own = own.resized(width_px, height_px);
+    let own = f64::from(own_width_px) / f64::from(own_height_px);
+    let wanted = f64::from(width_px) / f64::from(height_px);
+    ((wanted / own - 1.0).abs() > SHAPE_TOLERANCE).then(|| {
+        format!(
+            "camera {name} is {own_width_px}x{own_height_px}, and --size {width_px}x{height_px} has another shape: its image is squeezed. \
+             {width_px}x{} keeps it",
+            (f64::from(width_px) / own).round()
+        )
+    })
 }
 
 /// Leaves the cameras of `rig` whose names are in `names`, with commas between them.
@@ -201,18 +196,20 @@ impl Scene {
         reading.finish_and_clear();
 
         let size_px = arguments.size_px();
-        for camera in loaded.rig.cameras_mut() {
-            camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
-        }
         let chosen = arguments.cameras.as_deref().filter(|file| !file.exists());
         if let Some(names) = chosen.filter(|_| loaded.rig.cameras().next().is_some()) {
             choose(&mut loaded.rig, names)?;
         }
+        let rig = loaded.rig.cameras_mut();
+        let squeezed: Vec<String> = rig
+            .filter_map(|camera| resize(&camera.name, &mut camera.intrinsics, size_px))
+            .collect();
         let is_chosen = chosen.is_some() && loaded.rig.cameras().next().is_some();
         let drives = (arguments.cameras.is_none() || is_chosen)
             && !arguments.orbit.is_asked()
             && arguments.view.is_none()
             && loaded.rig.cameras().next().is_some();
+        let mut squeezed = if drives { squeezed } else { Vec::new() };
         let cameras = match &arguments.cameras {
             Some(file) if !is_chosen => {
                 let options = CameraOptions {
@@ -221,7 +218,7 @@ impl Scene {
                 };
                 let mut cameras = read_cameras(file, &options)?;
                 cameras.iter_mut().for_each(|camera| {
-                    camera.intrinsics = resized(&camera.name, &camera.intrinsics, size_px);
+                    squeezed.extend(resize(&camera.name, &mut camera.intrinsics, size_px));
                     let own = &mut camera.intrinsics.photometry;
                     *own = own.or(loaded.photometry_of_camera(&camera.name));
                 });
@@ -253,7 +250,15 @@ impl Scene {
             time_s,
             cameras,
             drives,
+            squeezed,
         })
+    }
+
+    /// Warns of cameras whose images are squeezed: where they are drawn.
+    pub fn warn_of_shapes(&self) {
+        for sentence in &self.squeezed {
+            warn(sentence);
+        }
     }
 
     /// True if the cameras are the ego vehicle's, and drive with it.
@@ -268,6 +273,7 @@ impl Scene {
             time_s: self.time_s,
             cameras: self.cameras.clone(),
             drives: self.drives,
+            squeezed: Vec::new(),
         };
         changed.loaded.rig = self.loaded.rig.clone();
         changed.loaded.splat_scene.rules = self.loaded.splat_scene.rules;

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::asset::{TEMPORARY_PREFIX, write_atomically};
+use decouplegs_cli::outputs::Force;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use serde_json::Value;
@@ -19,6 +20,8 @@ const LOCK: &str = "run.lock";
 
 pub struct RunFolder {
     root: PathBuf,
+    /// True where no run was in it before.
+    is_new: bool,
     /// Locked until the run ends, however it ends.
     _lock: File,
 }
@@ -26,6 +29,9 @@ pub struct RunFolder {
 impl RunFolder {
     /// The folder at `root`, made if it does not exist, for a run with `settings`.
     pub fn open(root: &Path, settings: &Value) -> Result<Self> {
+        // The files of a run that is there stay, and others beside them.
+        Force { force: true }.outputs(&[]).folder(root)?;
+        let is_new = !root.join("scenarios").exists() && !root.join("run.json").exists();
         for part in ["scenarios", "logs"] {
             let part = root.join(part);
             fs::create_dir_all(&part)
@@ -33,6 +39,7 @@ impl RunFolder {
         }
         let folder = Self {
             root: root.to_owned(),
+            is_new,
             _lock: locked(root)?,
         };
         sweep(&[root.to_owned(), root.join("scenarios"), root.join("logs")]);
@@ -52,6 +59,20 @@ impl RunFolder {
             }
         }
         Ok(folder)
+    }
+
+    /// Removes the files of a run that could not begin, so that it keeps nobody from another one.
+    /// What was there before stays.
+    pub fn forget(self) {
+        if !self.is_new {
+            return;
+        }
+        // What stays does no harm.
+        let _ = fs::remove_dir_all(self.root.join("scenarios"));
+        let _ = fs::remove_dir(self.root.join("logs"));
+        let _ = fs::remove_file(self.root.join("run.json"));
+        let _ = fs::remove_file(self.root.join(LOCK));
+        let _ = fs::remove_dir(&self.root);
     }
 
     pub fn scenario(&self, name: &str) -> PathBuf {
@@ -121,18 +142,34 @@ fn sweep(folders: &[PathBuf]) {
 
 /// Refuses to add episodes to those of another run: their scores would be mixed.
 fn check_same(path: &Path, begun: &Value, settings: &Value) -> Result<()> {
-    let keys = settings.as_object().into_iter().flatten();
-    for (key, wanted) in keys {
-        let was = begun.get(key).unwrap_or(&Value::Null);
-        if was != wanted {
-            bail!(
-                "{} holds a run with {key} = {was}, and this one has {wanted}: give the same options to go on with it, or another \
-                 folder with --out",
-                path.parent().unwrap_or(path).display()
-            );
-        }
+    if let Some((key, was, wanted)) = first_difference("", begun, settings) {
+        bail!(
+            "{} holds a run with {key} = {was}, and this one has {wanted}: give the same options to go on with it, or another \
+             folder with --out",
+            path.parent().unwrap_or(path).display()
+        );
     }
     Ok(())
+}
+
+/// The first value of `wanted` that `begun` does not have, with its key, such as `place.scene`, and
+/// what `begun` has there.
+fn first_difference<'a>(
+    key: &str,
+    begun: &'a Value,
+    wanted: &'a Value,
+) -> Option<(String, &'a Value, &'a Value)> {
+    let (Some(_), Some(fields)) = (begun.as_object(), wanted.as_object()) else {
+        return (begun != wanted).then(|| (key.to_owned(), begun, wanted));
+    };
+    let dot = if key.is_empty() { "" } else { "." };
+    let found = fields.iter().find_map(|(name, wanted)| {
+        let was = begun.get(name).unwrap_or(&Value::Null);
+        first_difference(&format!("{key}{dot}{name}"), was, wanted)
+    });
+    // The run may have been begun with more settings, but none with more parts.
+    let differs = !key.is_empty() && begun != wanted;
+    found.or_else(|| differs.then(|| (key.to_owned(), begun, wanted)))
 }
 
 #[cfg(test)]
@@ -180,6 +217,42 @@ mod tests {
             .err()
             .unwrap()
             .to_string();
-        assert!(refused.contains("taken"), "{refused}");
+        assert!(refused.contains("taken is a file"), "{refused}");
+    }
+
+    #[test]
+    fn a_setting_in_a_setting_is_named_alone() {
+        let root = tempfile::tempdir().unwrap();
+        let place = |scene: Value| json!({ "place": { "map": null, "scene": scene } });
+        drop(RunFolder::open(root.path(), &place(Value::Null)).unwrap());
+        let other = RunFolder::open(root.path(), &place(json!("street")));
+        let other = other.err().unwrap().to_string();
+        assert!(
+            other.contains("with place.scene = null, and this one has \"street\":"),
+            "{other}"
+        );
+        let fewer = RunFolder::open(root.path(), &json!({ "place": { "map": null } }));
+        let fewer = fewer.err().unwrap().to_string();
+        assert!(fewer.contains("with place = {"), "{fewer}");
+    }
+
+    #[test]
+    fn a_run_that_could_not_begin_leaves_nothing() {
+        let root = tempfile::tempdir().unwrap();
+        let at = |name: &str| root.path().join(name);
+        let run = RunFolder::open(&at("new"), &json!({ "seed": 1 })).unwrap();
+        fs::write(run.scenario("easy_0000"), "").unwrap();
+        run.forget();
+        assert!(!at("new").exists());
+        fs::create_dir(at("mine")).unwrap();
+        fs::write(at("mine/notes.txt"), "").unwrap();
+        RunFolder::open(&at("mine"), &json!({})).unwrap().forget();
+        assert_eq!(fs::read_dir(at("mine")).unwrap().count(), 1);
+        drop(RunFolder::open(&at("old"), &json!({})).unwrap());
+        RunFolder::open(&at("old"), &json!({})).unwrap().forget();
+        assert!(at("old/run.json").exists() && at("old/scenarios").exists());
+        fs::remove_dir(at("old/scenarios")).unwrap();
+        RunFolder::open(&at("old"), &json!({})).unwrap().forget();
+        assert!(at("old/run.json").exists());
     }
 }

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail};
 use decouplegs::asset::maps::length_m;
 use decouplegs::asset::packed_scene::is_package;
-use decouplegs::asset::{SceneFile, probe_paths, write_atomically, write_obstacles};
+use decouplegs::asset::{
+    SceneFile, check_readable, probe_paths, write_atomically, write_obstacles,
+};
 use decouplegs::drive::generate::{Area, PlaceOptions, Sky};
 use decouplegs::episode::Site;
 use decouplegs::hugsim_import::import_hugsim_scenario;
@@ -371,10 +373,13 @@ impl PlaceArguments {
                     agent_splats,
                 }
             }
-            (None, Some(scene)) => bail!(
-                "{} has no lanes of its own: name their map with --map",
-                scene.display()
-            ),
+            (None, Some(scene)) => {
+                check_readable(scene)?;
+                bail!(
+                    "{} has no lanes of its own: name their map with --map",
+                    scene.display()
+                )
+            }
             (None, None) => PlaceOptions::Street {
                 background,
                 agent_splats,

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use decouplegs::asset::read_tracks;
 use decouplegs::asset::tracks::TrackFormat;
+use decouplegs::asset::{check_readable, read_tracks};
 use decouplegs::drive::generate::PlaceOptions;
 use decouplegs::episode::Site;
 use decouplegs::logs::write_scenario;
@@ -84,10 +84,13 @@ pub fn tracked(path: &Path, arguments: &Arguments, folder: &RunFolder) -> Result
     let own = &arguments.tracks;
     let place = match arguments.place.lanes() {
         None if is_commonroad(path) => arguments.place.on_map(path),
-        None => bail!(
-            "{} has no map of its own: name the map that its tracks lie on with --map",
-            path.display()
-        ),
+        None => {
+            check_readable(path)?;
+            bail!(
+                "{} has no map of its own: name the map that its tracks lie on with --map",
+                path.display()
+            )
+        }
         Some(_) => arguments.place.clone(),
     };
     let tracks = read_tracks(path)?;

@@ -68,7 +68,7 @@ pub fn compare(first: &[Scored], second: &[Scored], out: Option<&Path>) -> Resul
     let names = [&pairs[0].first, &pairs[0].second].map(|run| &run.head.planner.name);
     let rows = rows(&pairs)?;
     let mut text = format!(
-        "first: {}, second: {}; {} pairs, {unpaired} episodes without a partner\n{}",
+        "first: {}, second: {}; {} pairs, {unpaired} episodes without a partner; DS: driving score, SR: success rate\n{}",
         names[0],
         names[1],
         pairs.len(),

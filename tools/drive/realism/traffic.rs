@@ -12,7 +12,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use decouplegs::asset::{read_map, read_tracks, write_atomically};
+use decouplegs::asset::{check_readable, read_map, read_tracks, write_atomically};
 use decouplegs::planner::Timeouts;
 use decouplegs::planner::agents::AgentDriverChoice;
 use decouplegs::scene::{Drivers, VehicleSize};
@@ -102,10 +102,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let map = match &arguments.map {
         Some(map) => map.clone(),
         None if is_commonroad(path) => path.clone(),
-        None => bail!(
-            "{} has no map of its own: name the map that its tracks lie on with --map",
-            path.display()
-        ),
+        None => {
+            check_readable(path)?;
+            bail!(
+                "{} has no map of its own: name the map that its tracks lie on with --map",
+                path.display()
+            )
+        }
     };
     let tracks = read_tracks(path)?;
     let sizes = tracks.iter().filter_map(|track| track.dims_m);

@@ -48,6 +48,7 @@ __all__ = ["DriveEnv", "DriveVectorEnv", "register_envs"]
 
 OFF_ROAD_REWARD = -0.5
 COLLISION_REWARD = -10.0
+LEVELS = ("easy", "medium", "hard", "extreme")
 ROUTE_POINTS = 10
 ROUTE_SPACING_M = 5.0
 # What the ego can do; more is clamped by it.
@@ -94,6 +95,8 @@ class _Course:
         place_seed: int,
         scenario: str | None,
     ) -> None:
+        if level not in LEVELS:
+            raise ValueError(f"level: expected {', '.join(LEVELS[:-1])} or {LEVELS[-1]}, found {level!r}")
         if site is not None and session is None:
             raise ValueError("site: give the session that it was opened in, too")
         self.session = session or _native.Session(device, exported=False)
@@ -173,6 +176,9 @@ class _Drive:
         if self.rollout is None:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
         action = np.asarray(action, np.float64)
+        expected = self.course.action_space.shape
+        if action.shape != expected:
+            raise ValueError(f"action: expected an array of shape {list(expected)}, found {list(action.shape)}")
         if self.course.plan_times is None:
             steer_rad, acceleration_mps2 = action
             result = self.rollout.step_controls(float(steer_rad), float(acceleration_mps2))

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use decouplegs::render::FrameStatistics;
 use decouplegs::session::{BatchRenderer as EngineViewer, HostImages, Session};
 use decouplegs_sharing::{Cuda, InteropError};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
@@ -40,7 +41,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 type GivenViews<'py> = Vec<(Bound<'py, World>, Vec<Bound<'py, Camera>>)>;
 
-fn copied(views: &GivenViews<'_>) -> PyResult<Views> {
+fn copied(views: &Bound<'_, PyAny>) -> PyResult<Views> {
+    let views: GivenViews<'_> = views.extract().map_err(|error| {
+        PyTypeError::new_err(format!(
+            "views: expected a list of pairs, each of a World and a list of Cameras: {error}"
+        ))
+    })?;
     if views.is_empty() {
         return Err(value_error(
             "views: expected at least one (world, cameras)".to_owned(),
@@ -160,8 +166,12 @@ impl BatchRenderer {
     ///
     /// Of each view an array [C, H, W, 4] of red, green, blue and alpha, rows from the top: uint8,
     /// or float32 as blended. The cameras of a view must be of one size.
-    fn draw<'py>(&self, py: Python<'py>, views: GivenViews<'py>) -> PyResult<Bound<'py, PyList>> {
-        let drawn = self.by_view(py, &copied(&views)?)?;
+    fn draw<'py>(
+        &self,
+        py: Python<'py>,
+        views: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyList>> {
+        let drawn = self.by_view(py, &copied(views)?)?;
         let array = |([cameras, rows, columns], layers): ([usize; 3], Layers)| {
             to_numpy(py, layers.color, &[cameras, rows, columns, 4])
         };
@@ -181,9 +191,9 @@ impl BatchRenderer {
     fn draw_layers<'py>(
         &self,
         py: Python<'py>,
-        views: GivenViews<'py>,
+        views: &Bound<'py, PyAny>,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        let drawn = self.by_view(py, &copied(&views)?)?;
+        let drawn = self.by_view(py, &copied(views)?)?;
         let dict = |(shape, layers): ([usize; 3], Layers)| {
             let dict = PyDict::new(py);
             let [cameras, rows, columns] = shape;
@@ -203,8 +213,8 @@ impl BatchRenderer {
 
     /// Draws like draw, and leaves the images in place: on the device if Session.exported,
     /// otherwise on the host.
-    fn draw_dlpack(&self, py: Python<'_>, views: GivenViews<'_>) -> PyResult<Images> {
-        let views = copied(&views)?;
+    fn draw_dlpack(&self, py: Python<'_>, views: &Bound<'_, PyAny>) -> PyResult<Images> {
+        let views = copied(views)?;
         let of_views = views.0.iter().map(|(_, cameras)| cameras.len()).collect();
         let frames = match &self.lender {
             Some(lender) => self.drawn_on_device(py, &views, lender)?,

@@ -89,6 +89,8 @@ def test_agents_move_and_worlds_share_a_scene(session, scene):
     for a, b in zip(together, alone):
         np.testing.assert_array_equal(a, b)
     assert (together[0] != together[1]).any() and (together[0] != together[2]).any()
+    with pytest.raises(TypeError, match="views: expected a list of pairs, each of a World and a list of Cameras"):
+        renderer.draw([one])
     copy = one.copy()
     one.remove("standing")
     assert (len(one), len(copy)) == (1, 2)

@@ -152,9 +152,13 @@ def test_what_is_wrong_is_said(place):
         DriveEnv(cameras=["nowhere"], **place)
     with pytest.raises(ValueError, match="action"):
         DriveEnv(action="thoughts", **place)
+    with pytest.raises(ValueError, match="level: expected easy, medium, hard or extreme, found 'esy'"):
+        DriveEnv(level="esy", **place)
     env = DriveEnv(**SMALL, **place)
     with pytest.raises(ValueError, match="level"):
         env.reset(options={"level": "impossible"})
     env.reset(seed=0)
     with pytest.raises(ValueError, match="finite"):
         env.step(np.array([np.nan, 0.0]))
+    with pytest.raises(ValueError, match=r"action: expected an array of shape \[2\], found \[3\]"):
+        env.step(np.zeros(3))

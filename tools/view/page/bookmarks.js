@@ -4,6 +4,9 @@ import * as views from "./views.js";
 
 const bookmarks = new Map();
 
+/** The first digit that no view is saved under. */
+const free = () => [..."123456789"].find((digit) => !bookmarks.has(digit));
+
 export function bookmark(digit, save) {
   const pane = views.activePane();
   if (save) {
@@ -13,6 +16,7 @@ export function bookmark(digit, save) {
       make("li", {}, make("button", { textContent: `View ${key}`, onclick: () => bookmark(key, false) })),
     );
     $("bookmarks").replaceChildren(...entries);
+    $("bookmark").disabled = !free();
     return;
   }
   const saved = bookmarks.get(digit);
@@ -23,3 +27,5 @@ export function bookmark(digit, save) {
   views.share(pane);
   views.look();
 }
+
+$("bookmark").onclick = () => bookmark(free(), true);

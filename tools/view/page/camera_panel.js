@@ -1,7 +1,7 @@
 // The panel "Camera": field of view, speed of flight, images as files, links and commands.
 import { copy, download, fileSafe } from "./files.js";
 import * as link from "./link.js";
-import { $, ask, state } from "./state.js";
+import { $, ask, nameOf, state } from "./state.js";
 import * as timeline from "./timeline.js";
 import * as views from "./views.js";
 
@@ -59,7 +59,7 @@ function saveIfWanted() {
   const pane = views.activePane();
   if (pane.views.some((view) => !view.png)) return;
   isWanted = false;
-  const title = fileSafe(state.sources[0].title.split("/").at(-1).replace(/\.[^.]*$/, ""));
+  const title = fileSafe(nameOf(state.sources[0]).replace(/\.[^.]*$/, ""));
   pane.views.forEach((view) => {
     const camera = fileSafe(view.camera ?? pane.choice);
     const name = `${title}_${camera}_${state.clock.time_s.toFixed(2)}s`;

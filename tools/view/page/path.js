@@ -1,7 +1,7 @@
 // Camera paths: keyframes, their preview, files, and what "Record" is told of them.
 import * as geometry from "./geometry.js";
 import { download, fileSafe } from "./files.js";
-import { $, make, notice, state } from "./state.js";
+import { $, make, nameOf, notice, state } from "./state.js";
 import { goTo } from "./timeline.js";
 import * as views from "./views.js";
 
@@ -143,7 +143,7 @@ export function preview() {
 // Files -------------------------------------------------------------------------------------------
 
 function save() {
-  const title = fileSafe(state.sources[0].title.split("/").at(-1).replace(/\.[^.]*$/, ""));
+  const title = fileSafe(nameOf(state.sources[0]).replace(/\.[^.]*$/, ""));
   download(`${title}_path.json`, `${JSON.stringify({ camera_path: VERSION, keys }, null, 1)}\n`, "application/json");
 }
 

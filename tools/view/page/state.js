@@ -3,6 +3,9 @@ import * as geometry from "./geometry.js";
 
 export const $ = (id) => document.getElementById(id);
 
+/** Name of what a source shows: that of its file, without folders. */
+export const nameOf = ({ title }) => title.split("/").at(-1);
+
 export const state = {
   /** Facts of each source that do not change. */
   sources: [],

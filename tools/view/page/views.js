@@ -6,7 +6,7 @@ import { describe, showBoth } from "./compare.js";
 import * as geometry from "./geometry.js";
 import { drawOverlay } from "./overlays.js";
 import { flyBy, steer } from "./steering.js";
-import { $, ask, make, send, state } from "./state.js";
+import { $, ask, make, nameOf, send, state } from "./state.js";
 
 const REST_MS = 150;
 /** It rests later where the browser draws slowly: events come as slowly as images then. */
@@ -52,12 +52,13 @@ export function addPane(source = 0) {
     mode: "wipe", wipe: 50, factor: 16, blink: false,
   };
   if (state.sources.length > 1) {
-    const names = [["0", `A: ${state.sources[0].title}`], ["1", `B: ${state.sources[1].title}`], ["both", "A and B"]];
+    const names = [["0", `A: ${nameOf(state.sources[0])}`], ["1", `B: ${nameOf(state.sources[1])}`], ["both", "A and B"]];
     pane.sources = menu(pane, "Content", names, (value) => {
       pane.source = value === "both" ? value : Number(value);
       choose(pane, pane.choice, pane.camera?.rig);
     });
     pane.sources.value = String(source);
+    pane.sources.title = state.sources.map(({ title }, index) => `${"AB"[index]}: ${title}`).join("\n");
   }
   pane.select = menu(pane, "Camera", cameraChoices(sourceOf(pane)), (value) => choose(pane, value));
   pane.channels = menu(pane, "Image kind", Object.entries(CHANNELS), (value) => {

@@ -199,6 +199,10 @@ def test_an_episode_compared_with_itself_is_the_same(episode, open_page):
     with Viewer(episode, log, "--against", log) as viewer:
         page = open_page(viewer)
         page.after(lambda: page.page.keyboard.press("p"))
+        # The name of a file is seen in a narrow menu; its folders are told beside it.
+        content = page.page.locator("[aria-label='Content of view 1']")
+        assert content.locator("option").all_inner_texts() == ["A: hard_0000.log", "B: hard_0000.log", "A and B"]
+        assert content.get_attribute("title") == f"A: {log}\nB: {log}"
         page.choose("Content of view 1", "both")
         page.page.select_option("[aria-label='Comparison of view 1']", "difference")
         said = page.page.locator(".said").first

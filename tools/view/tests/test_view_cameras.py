@@ -328,3 +328,21 @@ def test_any_quantity_of_an_episode_is_plotted(episode, open_page):
             page.page.screenshot(path=f"{folder}/quantity.png")
         page.page.select_option("#quantity", "")
         assert curves.count() == 0
+
+
+def test_views_are_saved_and_returned_to_without_a_keyboard(street, open_page):
+    with Viewer(street, "scene.toml") as viewer:
+        page = open_page(viewer, width=390, height=844, has_touch=True)
+        open_details(page)
+        page.choose("Camera of view 1", "orbit")
+        pose = page.newest()["panes"][0]["pose"]
+        page.page.click("#bookmark")
+        page.choose("Camera of view 1", "birds-eye")
+        page.page.click("#bookmark")
+        saved = page.page.locator("#bookmarks button")
+        assert saved.all_inner_texts() == ["View 1", "View 2"]
+        page.after(lambda: saved.first.click())
+        assert page.newest()["panes"][0]["pose"] == pose
+        for _ in range(7):
+            page.page.click("#bookmark")
+        assert saved.count() == 9 and page.page.is_disabled("#bookmark")

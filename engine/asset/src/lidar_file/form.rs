@@ -7,7 +7,8 @@ use decouplegs_scene::lidar::{
 use glam::DVec3;
 use serde::Deserialize;
 
-use crate::DecodeError;
+use crate::toml_text::{syntax_error, text_of};
+use crate::{DecodeError, SceneError};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -35,10 +36,9 @@ fn malformed<T>(reason: String) -> Result<T, DecodeError> {
 
 /// The model in the bytes of a TOML file.
 pub(super) fn decode(bytes: &[u8]) -> Result<LidarModel, DecodeError> {
-    let text = std::str::from_utf8(bytes)
-        .map_err(|error| DecodeError::Malformed(format!("not UTF-8 text: {error}")))?;
-    let form: Form =
-        toml::from_str(text).map_err(|error| DecodeError::Malformed(error.to_string()))?;
+    let malformed = |error: SceneError| DecodeError::Malformed(error.to_string());
+    let text = text_of(bytes).map_err(malformed)?;
+    let form: Form = toml::from_str(text).map_err(|error| malformed(syntax_error(text, &error)))?;
     Ok(LidarModel {
         pattern: match &form.rays {
             Some(rays) => form.explicit(rays)?,
