@@ -239,11 +239,11 @@ impl<'a> Generator<'a> {
             0 => own,
             _ => own.split(FOR_REPLACEMENTS).split(u64::from(replacement)),
         };
-        self.from_stream(level, format!("{}_{index:04}", level.name()), &stream)
+        self.generate(level, format!("{}_{index:04}", level.name()), &stream)
     }
 
     /// The scenario `name` of `level` that the random numbers of `stream` make.
-    fn from_stream(
+    fn generate(
         &self,
         level: Level,
         name: String,
@@ -288,14 +288,7 @@ impl<'a> Generator<'a> {
             if !self.begins_as_told(&agents, traffic_seed) {
                 continue;
             }
-            let lights = match self.has_lights {
-                true => lights::programs(
-                    self.roads.map,
-                    &self.roads.graph,
-                    &mut stream.split(FOR_LIGHTS),
-                ),
-                false => Vec::new(),
-            };
+            let lights = self.lights(&mut stream.split(FOR_LIGHTS));
             return Ok(Scenario {
                 name,
                 level: Some(level),
@@ -380,6 +373,14 @@ impl<'a> Generator<'a> {
                 }
                 Err(_) => return 0,
             }
+        }
+    }
+
+    /// Programs of the lights of the map, or none where they are left out.
+    fn lights(&self, random: &mut Stream) -> Vec<TrafficLight> {
+        match self.has_lights {
+            true => lights::programs(self.roads.map, &self.roads.graph, random),
+            false => Vec::new(),
         }
     }
 
