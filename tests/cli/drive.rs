@@ -567,9 +567,8 @@ fn scenarios_of_a_run_can_all_be_won_where_that_is_asked_for() {
         ];
         let driven = ["--planner", "lane-follow", "--render", "off"];
         succeed(&[&street[..], &driven, &["--out", text(&out)], more].concat());
-        let report = fs::read_to_string(out.join("report.json")).unwrap();
-        let report: Value = serde_json::from_str(&report).unwrap();
-        let episodes = report["episodes"].as_array().unwrap().clone();
+        let report = drive_devices::report(&out);
+        let episodes = report["episodes"].as_array().unwrap();
         let won = episodes.iter().filter(|one| one["success"] == true).count();
         (won, logs(&out))
     };

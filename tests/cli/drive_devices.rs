@@ -44,7 +44,8 @@ fn scores(out: &Path) -> Value {
     report
 }
 
-fn report(out: &Path) -> Value {
+/// The report of the run in the folder `out`.
+pub fn report(out: &Path) -> Value {
     serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
 }
 

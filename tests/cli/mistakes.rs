@@ -2,8 +2,9 @@
 
 use super::*;
 
-/// Runs each of `mistakes` in `folder`: its words, its exit code, and what its sentence has.
-fn told(folder: &Path, mistakes: &[(&str, i32, &str)]) {
+/// Runs each of `mistakes` in `folder`: a command line, the exit code and a part of the error that
+/// are expected.
+fn assert_refused(folder: &Path, mistakes: &[(&str, i32, &str)]) {
     for (line, code, part) in mistakes {
         let words: Vec<&str> = line.split(' ').collect();
         let run = Command::new(env!("CARGO_BIN_EXE_decouplegs"))
@@ -29,7 +30,7 @@ fn files_and_folders_of_another_kind_are_told() {
         b"ply\nformat binary_little_endian 1.0\n\xff\xfe",
     )
     .unwrap();
-    told(
+    assert_refused(
         folder.path(),
         &[
             (
@@ -91,7 +92,7 @@ fn files_and_folders_of_another_kind_are_told() {
 #[test]
 fn numbers_are_refused_with_what_is_expected() {
     let folder = tempfile::tempdir().unwrap();
-    told(
+    assert_refused(
         folder.path(),
         &[
             ("view a.ply --port -1", 2, "-1 is not in 0..=65535"),
@@ -138,7 +139,7 @@ fn no_output_takes_the_place_of_an_input_or_of_another_output() {
         fs::copy(first, at(name)).unwrap();
     }
     let before = fs::read(at("b.npy")).unwrap();
-    told(
+    assert_refused(
         folder.path(),
         &[
             (
@@ -177,7 +178,7 @@ fn no_output_takes_the_place_of_an_input_or_of_another_output() {
     assert!(!at("w.spz").exists());
     let first = first.file_stem().unwrap().display();
     let twice = format!("render scene.toml --size 8x8 --out new --contact-sheet new/{first}.png");
-    told(
+    assert_refused(
         folder.path(),
         &[(twice.as_str(), 1, "named for two outputs")],
     );
@@ -190,14 +191,14 @@ fn no_output_takes_the_place_of_an_input_or_of_another_output() {
         text(&at("c.png")),
     ]);
     let again = "compare a.npy b.npy --difference c.png";
-    told(folder.path(), &[(again, 1, "c.png exists already")]);
+    assert_refused(folder.path(), &[(again, 1, "c.png exists already")]);
 }
 
 #[test]
 fn a_run_that_could_not_begin_keeps_nobody_from_another_one() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("bad.toml"), "version = 1\nsede = 1\n").unwrap();
-    told(
+    assert_refused(
         folder.path(),
         &[
             (

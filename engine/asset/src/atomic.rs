@@ -187,8 +187,8 @@ fn give_name(file: &File, path: &Path, replaces: Replaces) -> io::Result<()> {
     }
 }
 
-/// A new temporary file in `folder`, as readable as any file the user creates. Its name, which
-/// nobody gave, is not in errors.
+/// A new temporary file in `folder`, as readable as any file the user creates. Errors do not
+/// contain its random name.
 fn temporary_in(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     if !folder.is_dir() {
         let folder = folder.display();
@@ -247,7 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_that_nobody_gave_is_not_in_errors() {
+    fn errors_do_not_contain_the_name_of_a_temporary_file() {
         let directory = tempfile::tempdir().unwrap();
         let missing = directory.path().join("none/a.txt");
         let checked = check_writable(&missing).unwrap_err().to_string();

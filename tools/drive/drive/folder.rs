@@ -62,7 +62,7 @@ impl RunFolder {
     }
 
     /// Removes the files of a run that could not begin, so that it keeps nobody from another one.
-    /// What was there before stays.
+    /// Files that the folder had before stay.
     pub fn forget(self) {
         if !self.is_new {
             return;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use decouplegs::drive::generate::{Difficulty, Generator};
 use decouplegs::episode::Site;
 use decouplegs::logs::write_scenario;
-use decouplegs::scene::Level;
+use decouplegs::scene::{Level, Scenario};
 use decouplegs::winnable::is_winnable;
 use rayon::prelude::*;
 
@@ -58,21 +58,8 @@ pub fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> 
     let replaced = AtomicUsize::new(0);
     // Each follows from its own number.
     let job = |&(level, index): &(Level, u32)| {
-        let mut scenario = generator.scenario(level, arguments.seed, index)?;
-        scenario = stepped(scenario, arguments);
-        let mut replacement = 0;
-        while arguments.winnable && !is_winnable(&scenario, &site)? {
-            replacement += 1;
-            if replacement > REPLACEMENTS {
-                bail!(
-                    "{}: lane-follow won none of {replacement} scenarios with a tenth of the time to spare: try an easier level of --time-budget or --density",
-                    scenario.name
-                );
-            }
-            let other = generator.scenario_instead(level, arguments.seed, index, replacement)?;
-            scenario = stepped(other, arguments);
-        }
-        replaced.fetch_add(usize::from(replacement > 0), Ordering::Relaxed);
+        let (scenario, is_replaced) = chosen(arguments, &generator, &site, (level, index))?;
+        replaced.fetch_add(usize::from(is_replaced), Ordering::Relaxed);
         let path = folder.scenario(&scenario.name);
         if !path.exists() {
             write_scenario(&path, &scenario)?;
@@ -94,4 +81,25 @@ pub fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> 
         ));
     }
     jobs
+}
+
+/// Scenario `index` of `level`, and whether it stands in the place of one that cannot be won.
+fn chosen(
+    arguments: &Arguments,
+    generator: &Generator<'_>,
+    site: &Arc<Site>,
+    (level, index): (Level, u32),
+) -> Result<(Scenario, bool)> {
+    for replacement in 0..=REPLACEMENTS {
+        let scenario = generator.scenario_instead(level, arguments.seed, index, replacement)?;
+        let scenario = stepped(scenario, arguments);
+        if !arguments.winnable || is_winnable(&scenario, site)? {
+            return Ok((scenario, replacement > 0));
+        }
+    }
+    bail!(
+        "{}_{index:04}: lane-follow won none of {} scenarios with a tenth of the time to spare: try an easier level of --time-budget or --density",
+        level.name(),
+        REPLACEMENTS + 1
+    )
 }

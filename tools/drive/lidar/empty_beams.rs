@@ -51,27 +51,23 @@ impl EmptyBeams {
         world_from_lidar: Pose,
     ) -> Result<Self> {
         let rays = empty(&model.beams(), points_m);
-        let (up, down): (Vec<Beam>, Vec<Beam>) = rays
-            .into_iter()
-            .partition(|beam| (world_from_lidar.rotation * beam.direction).z > 0.0);
-        let scene = scene.into();
-        let mut ranges_m = |rays: Vec<Beam>| -> Result<Vec<f32>> {
-            if rays.is_empty() {
-                return Ok(Vec::new());
-            }
+        let looks_up = |beam: &Beam| (world_from_lidar.rotation * beam.direction).z > 0.0;
+        let looks_up: Vec<bool> = rays.iter().map(looks_up).collect();
+        let mut found_m: Vec<(bool, f32)> = Vec::new();
+        if !rays.is_empty() {
             let lidar = fired_at_once(rays, model.range_m, world_from_lidar);
             let traced = lidars
                 .trace(scene, &lidar, ReturnMode::Median)
                 .context("the beams without a point in the scan cannot be traced")?;
             let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
-            Ok(sweep.returns.iter().map(|found| found.range_m).collect())
-        };
-        let (above, beams) = (up.len(), up.len() + down.len());
-        let above_m = ranges_m(up)?;
-        let all_m = [above_m.clone(), ranges_m(down)?].concat();
+            let found = sweep.returns.iter();
+            found_m.extend(found.map(|found| (looks_up[found.beam as usize], found.range_m)));
+        }
+        let above = looks_up.iter().filter(|looks_up| **looks_up).count();
+        let above_m = found_m.iter().filter(|(looks_up, _)| *looks_up);
         Ok(Self {
-            all: ExtraReturns::new(beams, all_m),
-            above_horizon: ExtraReturns::new(above, above_m),
+            all: ExtraReturns::new(looks_up.len(), found_m.iter().map(|found| found.1)),
+            above_horizon: ExtraReturns::new(above, above_m.map(|found| found.1)),
         })
     }
 
@@ -93,7 +89,8 @@ impl EmptyBeams {
 
 impl ExtraReturns {
     /// The returns at `ranges_m`, in any order, of `beams` beams.
-    fn new(beams: usize, mut ranges_m: Vec<f32>) -> Self {
+    fn new(beams: usize, ranges_m: impl Iterator<Item = f32>) -> Self {
+        let mut ranges_m: Vec<f32> = ranges_m.collect();
         ranges_m.sort_by(f32::total_cmp);
         let median_m = ranges_m.get(ranges_m.len() / 2);
         Self {
@@ -197,8 +194,8 @@ mod tests {
 
     #[test]
     fn they_are_told_in_words_and_numbers() {
-        let all = ExtraReturns::new(200, (0..50).map(|at| 12.34 + at as f32 - 25.0).collect());
-        let above_horizon = ExtraReturns::new(0, Vec::new());
+        let all = ExtraReturns::new(200, (0..50).map(|at| 12.34 + at as f32 - 25.0));
+        let above_horizon = ExtraReturns::new(0, std::iter::empty());
         assert_eq!((all.share(), all.extra), (0.25, 50));
         let some = EmptyBeams { all, above_horizon };
         let text = some.to_text();

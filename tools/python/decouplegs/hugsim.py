@@ -51,7 +51,7 @@ import numpy as np
 from gymnasium import spaces
 
 from . import _native
-from .gym import _Course, _Drive
+from .gym import LEVELS, _Course, _Drive
 
 __all__ = ["HUGSimEnv", "main"]
 
@@ -479,7 +479,7 @@ def main(arguments: list[str] | None = None) -> int:
     serve.add_argument("--token", default=os.environ.get("HUGSIM_API_TOKEN", ""), help="text that clients send as auth-token (default: $HUGSIM_API_TOKEN)")
     for command in (pipes, serve):
         command.add_argument("--scenario", help="scenario file (default: the synthetic street)")
-        command.add_argument("--level", default="easy", choices=["easy", "medium", "hard", "extreme"], help="level on the synthetic street")
+        command.add_argument("--level", default="easy", choices=LEVELS, help="level on the synthetic street")
         command.add_argument("--seed", type=int, default=0, help="seed of the scenario (default: %(default)s)")
         command.add_argument("--size", type=_size, default=(800, 450), metavar="WxH", help="size of the images, pixels (default: 800x450)")
         command.add_argument("--background", type=int, default=200_000, help="splats of the synthetic street (default: %(default)s)")
