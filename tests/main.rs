@@ -4,6 +4,7 @@ mod data;
 mod device;
 mod frames;
 mod planners;
+mod planners_vision;
 mod stages;
 mod tidy;
 mod truths;

@@ -52,6 +52,50 @@ fn episodes_become_data_sets_with_the_images_of_the_log() {
     check_refusals(&log, base);
 }
 
+/// Plans of `lane-follow` along an episode that it drove are those that it drove.
+#[test]
+fn plans_of_another_planner_are_written_along_an_episode() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let how = ["--planner", "lane-follow", "--render", "off"];
+    let what = ["--level", "hard", "--episodes", "1", "--out", text(&run)];
+    succeed(&[&["drive"], &what[..], &how].concat());
+    let log = run.join("logs/hard_0000.log");
+    let episode = read_episode_log(&log).unwrap();
+    let plans = |planner: &str, out: &str| -> Vec<Value> {
+        let out = folder.path().join(out);
+        let planner = ["--as", "plans", "--planner", planner];
+        let said = succeed(&[&["export", text(&log), "--out", text(&out)], &planner[..]].concat());
+        let count = episode.steps.len();
+        let expected = format!("at {count} of {count} steps");
+        assert!(said.contains(&expected), "{said}");
+        let lines = fs::read_to_string(out.join("plans.jsonl")).unwrap();
+        let lines = lines
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap());
+        lines.collect()
+    };
+    let own = plans("lane-follow", "own");
+    assert_eq!(own.len(), episode.steps.len());
+    for (line, step) in own.iter().zip(&episode.steps) {
+        let points = step.plan.points().iter();
+        let points = points.map(|point| [point.time_s, point.position_m.x, point.position_m.y]);
+        assert_eq!(
+            line["points"],
+            serde_json::json!(points.collect::<Vec<_>>())
+        );
+        assert_eq!(line["step"], step.step);
+    }
+    let start_mps = episode.start.ego.speed_mps;
+    assert_eq!(own[0]["ego"]["speed_mps"].as_f64(), Some(start_mps));
+    assert!(own[0]["guidance"]["cruise_mps"].as_f64() > Some(0.0));
+    assert_ne!(plans("constant-velocity", "other"), own);
+    let out = folder.path().join("seen");
+    let blind = ["--as", "plans", "--planner", "vision", "--out", text(&out)];
+    let said = fail(1, &[&["export", text(&log)], &blind[..]].concat());
+    assert!(said.contains("open-loop") && !out.exists(), "{said}");
+}
+
 /// An episode with five steps a second: each third is a sample, the steps between are sweeps.
 #[test]
 fn steps_between_keyframes_are_sweeps_of_nuscenes() {

@@ -1,11 +1,15 @@
 //! A road drawn pixel by pixel: asphalt, markings, shade, paint across the road and a car. What is
 //! seen is known exactly.
 
-use decouplegs::scene::{Shutter, Intrinsics, Lens, Pose, RigCamera, VehicleSize, Photometry};
+use decouplegs::scene::{Intrinsics, Lens, Photometry, Pose, RigCamera, Shutter, VehicleSize};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// The ego that looks.
-pub const EGO: VehicleSize = VehicleSize { length_m: 4.5, width_m: 1.8, height_m: 1.7 };
+pub const EGO: VehicleSize = VehicleSize {
+    length_m: 4.5,
+    width_m: 1.8,
+    height_m: 1.7,
+};
 /// The car that is examined: width and height, meters.
 const CAR_M: [f64; 2] = [1.8, 1.5];
 /// Width of a marking, meters.
@@ -56,7 +60,18 @@ pub fn camera() -> RigCamera {
     let rotation = DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
     RigCamera {
         name: "front".into(),
-        intrinsics: Intrinsics { width_px: 320, height_px: 180, fx_px: 253.28, fy_px: 253.28, cx_px: 160.0, cy_px: 90.0, lens: Lens::Pinhole, photometry: Photometry::IDENTITY, windshield: None, shutter: Shutter::GLOBAL },
+        intrinsics: Intrinsics {
+            width_px: 320,
+            height_px: 180,
+            fx_px: 253.28,
+            fy_px: 253.28,
+            cx_px: 160.0,
+            cy_px: 90.0,
+            lens: Lens::Pinhole,
+            photometry: Photometry::IDENTITY,
+            windshield: None,
+            shutter: Shutter::GLOBAL,
+        },
         rig_from_camera: Pose::new(rotation, DVec3::new(0.4, 0.0, 1.6 - 0.5 * EGO.height_m)),
     }
 }
@@ -71,12 +86,27 @@ impl DrawnRoad {
                 let mut sum = DVec3::ZERO;
                 for ray in 0..RAYS * RAYS {
                     let part = |of: u32| (f64::from(of) + 0.5) / f64::from(RAYS);
-                    let pixel = DVec2::new(f64::from(column) + part(ray % RAYS), f64::from(row) + part(ray / RAYS));
-                    let seen = DVec3::new((pixel.x - at.cx_px) / at.fx_px, (pixel.y - at.cy_px) / at.fy_px, 1.0);
-                    sum += self.color(camera.rig_from_camera.translation, camera.rig_from_camera.rotation * seen);
+                    let pixel = DVec2::new(
+                        f64::from(column) + part(ray % RAYS),
+                        f64::from(row) + part(ray / RAYS),
+                    );
+                    let seen = DVec3::new(
+                        (pixel.x - at.cx_px) / at.fx_px,
+                        (pixel.y - at.cy_px) / at.fy_px,
+                        1.0,
+                    );
+                    sum += self.color(
+                        camera.rig_from_camera.translation,
+                        camera.rig_from_camera.rotation * seen,
+                    );
                 }
                 let mean = sum / f64::from(RAYS * RAYS) * self.light;
-                rgba.extend((mean * 255.0).round().to_array().map(|channel| channel.clamp(0.0, 255.0) as u8));
+                rgba.extend(
+                    (mean * 255.0)
+                        .round()
+                        .to_array()
+                        .map(|channel| channel.clamp(0.0, 255.0) as u8),
+                );
                 rgba.push(255);
             }
         }
@@ -85,17 +115,29 @@ impl DrawnRoad {
 
     fn color(&self, eye: DVec3, ray: DVec3) -> DVec3 {
         let ground_z_m = -0.5 * EGO.height_m;
-        let to_ground = if ray.z < -1e-9 { (ground_z_m - eye.z) / ray.z } else { f64::INFINITY };
+        let to_ground = if ray.z < -1e-9 {
+            (ground_z_m - eye.z) / ray.z
+        } else {
+            f64::INFINITY
+        };
         if let Some(gap_m) = self.gap_m {
             let rear_m = 0.5 * EGO.length_m + gap_m;
             let to_rear = (rear_m - eye.x) / ray.x;
             let at = eye + ray * to_rear;
             let (across_m, height_m) = (at.y - self.middle_m(rear_m), at.z - ground_z_m);
-            if to_rear > 0.0 && to_rear < to_ground && across_m.abs() < 0.5 * CAR_M[0] && (0.0..CAR_M[1]).contains(&height_m) {
+            if to_rear > 0.0
+                && to_rear < to_ground
+                && across_m.abs() < 0.5 * CAR_M[0]
+                && (0.0..CAR_M[1]).contains(&height_m)
+            {
                 return car(across_m, height_m);
             }
         }
-        if to_ground.is_finite() { self.ground((eye + ray * to_ground).truncate()) } else { DVec3::new(0.6, 0.7, 0.85) }
+        if to_ground.is_finite() {
+            self.ground((eye + ray * to_ground).truncate())
+        } else {
+            DVec3::new(0.6, 0.7, 0.85)
+        }
     }
 
     /// Center of the lane `ahead_m` meters ahead.
@@ -104,22 +146,33 @@ impl DrawnRoad {
     }
 
     fn ground(&self, at: DVec2) -> DVec3 {
-        let within = |span: Option<[f64; 2]>| span.is_some_and(|[from, to]| (from..to).contains(&at.x));
+        let within =
+            |span: Option<[f64; 2]>| span.is_some_and(|[from, to]| (from..to).contains(&at.x));
         let across_m = at.y - self.middle_m(at.x);
         let on_line = |middle_m: f64| (across_m - middle_m).abs() < 0.5 * MARKING_M;
         let dash = (at.x - self.dashes_m).rem_euclid(9.0) < 3.0;
         let bar = within(self.bars_m) && (across_m / 1.05).rem_euclid(1.0) < 0.48;
         let painted = (on_line(0.5 * self.width_m) && dash) || on_line(-0.5 * self.width_m) || bar;
-        let albedo = if painted { DVec3::splat(0.8) } else { asphalt(at) };
+        let albedo = if painted {
+            DVec3::splat(0.8)
+        } else {
+            asphalt(at)
+        };
         // Light of the sky is bluer than that of the sun.
-        if within(self.shade_m) { albedo * DVec3::new(0.48, 0.5, 0.55) } else { albedo }
+        if within(self.shade_m) {
+            albedo * DVec3::new(0.48, 0.5, 0.55)
+        } else {
+            albedo
+        }
     }
 }
 
 /// Asphalt in patches a quarter of a meter wide.
 fn asphalt(at: DVec2) -> DVec3 {
     let cell = (at * 4.0).floor();
-    let mixed = (cell.x as i64).wrapping_mul(0x9e37_79b9).wrapping_add((cell.y as i64).wrapping_mul(0x85eb_ca6b)) as u64;
+    let mixed = (cell.x as i64)
+        .wrapping_mul(0x9e37_79b9)
+        .wrapping_add((cell.y as i64).wrapping_mul(0x85eb_ca6b)) as u64;
     let unit = (mixed.wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f64 / 16_777_216.0;
     DVec3::new(0.42, 0.415, 0.41) * (0.97 + 0.06 * unit)
 }

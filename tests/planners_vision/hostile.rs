@@ -1,7 +1,7 @@
 //! Images and numbers that make no sense.
 
-use decouplegs::planner::{EgoMotion, Reading, Navigation, Planner, Turn, Vision};
-use decouplegs::scene::{Intrinsics, Plan, RigCamera};
+use decouplegs::planner::{EgoMotion, Planner, Reading, Vision};
+use decouplegs::scene::{Plan, RigCamera};
 
 use super::drawn_road::camera;
 use super::{beginner, cruising, shown};
@@ -11,15 +11,24 @@ fn assert_drivable(plan: &Plan, speed_mps: f64, what: &str) {
     let mut before = (0.0, glam::DVec2::ZERO);
     for point in plan.points() {
         let (dt_s, moved_m) = (point.time_s - before.0, point.position_m - before.1);
-        assert!(point.position_m.is_finite() && moved_m.length() < (speed_mps.max(20.0) + 1.0) * dt_s, "{what}: {plan:?}");
-        assert!(moved_m.x > -0.2 || moved_m.length() < 0.05, "{what}: backwards in {plan:?}");
+        assert!(
+            point.position_m.is_finite() && moved_m.length() < (speed_mps.max(20.0) + 1.0) * dt_s,
+            "{what}: {plan:?}"
+        );
+        assert!(
+            moved_m.x > -0.2 || moved_m.length() < 0.05,
+            "{what}: backwards in {plan:?}"
+        );
         before = (point.time_s, point.position_m);
     }
 }
 
 fn of_size(width_px: u32, height_px: u32) -> RigCamera {
     let camera = camera();
-    RigCamera { intrinsics: camera.intrinsics.resized(width_px, height_px), ..camera }
+    RigCamera {
+        intrinsics: camera.intrinsics.resized(width_px, height_px),
+        ..camera
+    }
 }
 
 #[test]
@@ -29,15 +38,33 @@ fn images_of_nothing_leave_a_plan_to_drive() {
         let camera = of_size(width_px, height_px);
         let bytes = camera.intrinsics.pixels() as usize * 4;
         let mut noise = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 56) as u8
         };
         let noise: Vec<u8> = (0..bytes).map(|_| noise()).collect();
-        for (what, rgba) in [("black", vec![0; bytes]), ("white", vec![255; bytes]), ("noise", noise), ("empty", vec![]), ("short", vec![9; 3])] {
+        for (what, rgba) in [
+            ("black", vec![0; bytes]),
+            ("white", vec![255; bytes]),
+            ("noise", noise),
+            ("empty", vec![]),
+            ("short", vec![9; 3]),
+        ] {
             let mut vision = beginner(&camera);
             for step in 0..6 {
-                let ego = EgoMotion { speed_mps: 8.0, yaw_rate_radps: 0.2, ..EgoMotion::default() };
-                let (_, plan) = shown(&mut vision, step, &[Reading::image(&camera, &rgba)], ego, cruising(10.0));
+                let ego = EgoMotion {
+                    speed_mps: 8.0,
+                    yaw_rate_radps: 0.2,
+                    ..EgoMotion::default()
+                };
+                let (_, plan) = shown(
+                    &mut vision,
+                    step,
+                    &[Reading::image(&camera, &rgba)],
+                    ego,
+                    cruising(10.0),
+                );
                 assert_drivable(&plan, 8.0, &format!("{width_px}x{height_px} {what}"));
             }
         }
@@ -48,33 +75,17 @@ fn images_of_nothing_leave_a_plan_to_drive() {
 fn no_image_at_all_is_driven_through_too() {
     let mut vision = beginner(&camera());
     for step in 0..40 {
-        let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
+        let ego = EgoMotion {
+            speed_mps: 8.0,
+            ..EgoMotion::default()
+        };
         let (perception, plan) = shown(&mut vision, step, &[], ego, cruising(10.0));
         assert_drivable(&plan, 8.0, "no image");
-        assert!((perception.unseen_m - 4.0 * f64::from(step)).abs() < 1e-9, "{perception:?}");
+        assert!(
+            (perception.unseen_m - 4.0 * f64::from(step)).abs() < 1e-9,
+            "{perception:?}"
+        );
     }
-}
-
-#[test]
-fn numbers_that_are_none_are_survived() {
-    let camera = camera();
-    let rgba = vec![100; camera.intrinsics.pixels() as usize * 4];
-    for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300] {
-        let ego = EgoMotion { speed_mps: value, acceleration_mps2: value, steer_rad: value, yaw_rate_radps: value };
-        for turn in [Turn::Straight, Turn::Left] {
-            let guidance = Navigation { turn, distance_m: value, angle_rad: value, length_m: value, cruise_mps: value };
-            let mut vision = beginner(&camera);
-            for step in 0..4 {
-                let (_, plan) = shown(&mut vision, step, &[Reading::image(&camera, &rgba)], ego, guidance);
-                assert_drivable(&plan, 60.0, &format!("{value}"));
-            }
-        }
-    }
-    let crooked = Intrinsics { fx_px: f64::NAN, ..camera.intrinsics };
-    let crooked = RigCamera { intrinsics: crooked, ..camera };
-    let ego = EgoMotion { speed_mps: 8.0, ..EgoMotion::default() };
-    let (_, plan) = shown(&mut beginner(&crooked), 0, &[Reading::image(&crooked, &rgba)], ego, cruising(10.0));
-    assert_drivable(&plan, 8.0, "a crooked camera");
 }
 
 #[test]
@@ -85,9 +96,13 @@ fn a_plan_before_an_episode_is_refused() {
         readings: &[],
         ego: EgoMotion::default(),
         guidance: cruising(10.0),
+        localization: None,
         privileged: None,
     };
-    let refusal = Vision::default().plan(&observation).unwrap_err().to_string();
+    let refusal = Vision::default()
+        .plan(&observation)
+        .unwrap_err()
+        .to_string();
     assert!(refusal.contains("before an episode began"), "{refusal}");
     assert_eq!(Vision::default().perception(), None);
 }

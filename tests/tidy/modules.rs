@@ -1,9 +1,9 @@
-//! Modules of one crate that use each other.
+//! Modules of one crate that use each other, and files that are none.
 
 use std::collections::BTreeSet;
 
 use super::Finding;
-use super::tree::Tree;
+use super::tree::{SourceFile, Tree};
 
 /// Pairs of modules of one crate that use each other, as `(crate, first, second)`.
 const MAY_USE_EACH_OTHER: &[(&str, &str, &str)] = &[
@@ -99,4 +99,44 @@ pub fn modules_do_not_use_each_other(tree: &Tree) -> Vec<Finding> {
         what: format!("{module} and {used} use each other"),
     };
     each_other.map(finding).collect()
+}
+
+/// Folders whose Rust files are programs of their own.
+const PROGRAMS_IN: [&str; 3] = ["examples", "fuzz_targets", "tests"];
+
+/// A file that no other declares as its module is never compiled, and its tests never run.
+pub fn every_file_is_a_module_of_another(tree: &Tree) -> Vec<Finding> {
+    let rust = || tree.files.iter().filter(|file| file.is_rust());
+    let manifests = || tree.files.iter().filter(|file| file.name() == "Cargo.toml");
+    let lost = rust().filter(|file| {
+        let folder = file.path.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let stem = file.stem();
+        let is_program = ["main", "lib", "build"].contains(&stem)
+            || PROGRAMS_IN
+                .iter()
+                .any(|name| folder.ends_with(name) && stem != "mod")
+            || manifests().any(|manifest| manifest.text.contains(&format!("{}\"", file.name())));
+        // The file `a/mod.rs` is the module `a` beside its folder.
+        let (name, folder) = match stem {
+            "mod" => folder
+                .rsplit_once('/')
+                .map_or((folder, ""), |(above, name)| (name, above)),
+            _ => (stem, folder),
+        };
+        let declared = format!("mod {name};");
+        // By an attribute, or by `include!`.
+        let by_path = format!("{}\"", file.name());
+        let declares = |other: &SourceFile| {
+            let other_folder = other.path.rsplit_once('/').map_or("", |(folder, _)| folder);
+            let is_near = other_folder == folder || other.path == format!("{folder}.rs");
+            (is_near && other.code.contains(&declared)) || other.text.contains(&by_path)
+        };
+        !is_program && !rust().any(declares)
+    });
+    let finding = |file: &SourceFile| Finding {
+        path: file.path.clone(),
+        line: 0,
+        what: "no file declares it as its module: it is never compiled".into(),
+    };
+    lost.map(finding).collect()
 }

@@ -9,7 +9,7 @@ use super::checks::{
     vulkan_only_in_gpu,
 };
 use super::claims::{claims_name_their_tests, named_tests_exist};
-use super::modules::modules_do_not_use_each_other;
+use super::modules::{every_file_is_a_module_of_another, modules_do_not_use_each_other};
 use super::parameters::{stages_take_few_values, tuples_hide_no_parameters};
 use super::words::{
     comments_are_narrow, docs_name_their_subject, docs_say_something, no_retired_words,
@@ -17,6 +17,22 @@ use super::words::{
 
 /// Every rule.
 pub const RULES: &[Rule] = &[
+    Rule {
+        name: "every Rust file is compiled: another declares it as its module, or a Cargo.toml names it",
+        check: every_file_is_a_module_of_another,
+        kept_by: &[
+            ("engine/a/src/lib.rs", "mod b;"),
+            ("engine/a/src/b.rs", "mod c;"),
+            ("engine/a/src/b/c.rs", ""),
+            ("tests/main.rs", "mod d;"),
+            ("tests/d/mod.rs", ""),
+        ],
+        broken_by: &[
+            ("engine/a/src/e.rs", ""),
+            ("tests/e/mod.rs", ""),
+            ("tests/d/c.rs", ""),
+        ],
+    },
     Rule {
         name: "nothing is left undone: finish it, or write an issue",
         check: nothing_undone,

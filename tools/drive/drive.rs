@@ -87,8 +87,8 @@ pub struct Arguments {
     follow_recording: bool,
     #[command(flatten)]
     tracks: tracks::TrackArguments,
-    /// Planner: constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND, unix:SOCKET, or
-    /// egodriver://HOST:PORT, a driver of AlpaSim
+    /// Planner: constant-velocity, lane-follow, vision, learned, learned:FILE, replay:LOG,
+    /// exec:COMMAND, unix:SOCKET, or egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
     /// Program that drives the vehicles of the traffic in place of the driver model, all of them in

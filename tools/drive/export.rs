@@ -5,6 +5,7 @@ mod coco;
 mod kitti;
 mod mcap;
 mod nuscenes;
+mod plans;
 mod scene;
 mod sensed;
 
@@ -17,6 +18,7 @@ use clap::ValueEnum;
 use decouplegs::asset::{UnfinishedFolder, write_atomically};
 use decouplegs::episode::{Appearance, Moments, Site, camera_named, chosen_lidars};
 use decouplegs::logs::read_episode_log;
+use decouplegs::planner::{Cameras, PlannerChoice, Timeouts};
 use decouplegs::scene::episode::{DrawnBy, Episode};
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
 use decouplegs::session::SessionScene;
@@ -58,6 +60,10 @@ pub struct Arguments {
     /// Folder that the scenario's files are relative to [default: the log's]
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
+    /// Planner whose plans are written with `--as plans`, one that needs no sensors: lane-follow or
+    /// constant-velocity
+    #[arg(long, value_name = "PLANNER", default_value = "lane-follow")]
+    planner: PlannerChoice,
     /// Light transfer for the cars, as given to the run
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
@@ -79,6 +85,9 @@ enum Format {
     /// A scene: the place with all road users on their ways, the ego's way with its cameras, and
     /// the lanes. Nothing is rendered. `view`, `render`, `drive --scene` and `pack` take it
     Scene,
+    /// Plans of --planner at each step, with motion and guidance of the ego, in plans.jsonl: for
+    /// planners that learn from it. Nothing is rendered
+    Plans,
 }
 
 /// Writer of a data set.
@@ -95,6 +104,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Force::default().outputs(&[]).whole_folder(out)?;
     let episode = read_episode_log(&arguments.log)?;
     let base = arguments.base.as_deref().or(arguments.log.parent());
+    if arguments.format == Format::Plans {
+        return write_plans(arguments, &episode, base.unwrap_or(Path::new("")));
+    }
     let appearance = Appearance {
         transfer: transfer_in(arguments.light.as_deref())?,
         only_cars: episode.head.scenario.has_only_cars(),
@@ -129,6 +141,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_validation(&gpu)
 }
 
+/// Writes the plans of a planner along `episode`, whose files are relative to `base`.
+fn write_plans(arguments: &Arguments, episode: &Episode, base: &Path) -> Result<()> {
+    let planner = arguments.planner.open(Timeouts::default())?;
+    let sees = planner.sees();
+    ensure!(
+        sees.cameras == Cameras::None && !sees.lidars,
+        "{} needs images or sweeps, and plans are written without: `open-loop` shows it images along a log",
+        arguments.planner
+    );
+    let site = Site::open(&episode.head.scenario.place, base, None);
+    let site = Arc::new(site.context("the place of the log is not usable")?);
+    let part = UnfinishedFolder::begin(&arguments.out)?;
+    let said = plans::write(episode, &site, planner, part.path())?;
+    part.finish()?;
+    print(&format!("{}: {said}\n", arguments.out.display()))
+}
+
 /// The moments of `episode` in `site`, whose copy on a device is `scene`.
 ///
 /// # Errors
@@ -156,7 +185,7 @@ fn write(
         Format::Kitti => Box::new(kitti::Folders::new(folder, rig)?),
         Format::Coco => Box::new(coco::Annotations::new(folder)?),
         Format::Mcap => Box::new(mcap::Messages::new(folder, episode, moments, rig)?),
-        Format::Scene => bail!("a scene has no images"),
+        Format::Scene | Format::Plans => bail!("scenes and plans have no images"),
     };
     let begun = moments.as_slice().iter().filter(|m| m.step.is_some());
     let bar = progress::bar("steps", episode.steps.len());

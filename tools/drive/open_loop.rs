@@ -308,31 +308,74 @@ fn text(answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> String {
     }
     let mut known = known(differences_m);
     known.sort_by(f64::total_cmp);
-    let gap = |a: Option<f64>, b: Option<f64>| {
-        a.zip(b)
-            .map_or("-".into(), |(a, b)| format!("{:.3}", (a - b).abs()))
-    };
-    let mean = |answers: &Answers| {
-        Moments::from_values(&self::known(&answers.ade_m)).map(|moments| moments.mean)
-    };
     let last = known
         .last()
         .map_or("-".into(), |worst| format!("{worst:.3}"));
-    text.push_str(&format!(
-        "gap: mADE {} m, minTTC {} s; plans differ by {} m (mean over {} frames), at most {last} m\n",
-        gap(mean(answers[0]), mean(answers[1])),
-        gap(min_ttc_s(answers[0]), min_ttc_s(answers[1])),
-        spread(Moments::from_values(&known).as_ref(), 3),
-        known.len()
-    ));
+    let gap_m = mean_ade_m(answers[0]).zip(mean_ade_m(answers[1]));
+    let gap_m = gap_m.map_or("-".into(), |(a, b)| format!("{:.3}", (a - b).abs()));
+    let ttc = TtcGap::new(answers);
+    text.insert_str(
+        0,
+        &format!(
+            "plans differ by {} m (mean over {} frames), by at most {last} m; their mADE by {gap_m} m\n\
+             times to collision differ by {:.2} s on average, and are shorter by up to {:.2} s, longer by up to {:.2} s (of {TTC_HORIZON_S:.0} s)\n",
+            spread(Moments::from_values(&known).as_ref(), 3),
+            known.len(),
+            ttc.mean_s,
+            ttc.shorter_s,
+            ttc.longer_s,
+        ),
+    );
     text
+}
+
+fn mean_ade_m(answers: &Answers) -> Option<f64> {
+    Moments::from_values(&known(&answers.ade_m)).map(|moments| moments.mean)
+}
+
+/// Differences of times to collision between plans for other images and those for the reference,
+/// step by step. One that becomes longer is no gain: a planner that sees less may also miss what it brakes
+/// for. It counts as a difference like one that becomes shorter.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct TtcGap {
+    /// Mean of the differences without their signs, seconds.
+    mean_s: f64,
+    /// Largest difference to a shorter time, seconds.
+    shorter_s: f64,
+    /// Largest difference to a longer time, seconds.
+    longer_s: f64,
+}
+
+impl TtcGap {
+    /// Gap between the answers to a reference and to other images, over steps with both plans. No
+    /// collision counts as one at the horizon.
+    fn new(answers: &[&Answers; 2]) -> Self {
+        let steps = 0..answers[0].plans.len().min(answers[1].plans.len());
+        let both = steps.filter(|&step| answers.iter().all(|one| one.plans[step].is_some()));
+        let time_s = |one: &Answers, step: usize| one.ttc_s[step].unwrap_or(TTC_HORIZON_S);
+        let longer_s: Vec<f64> = both
+            .map(|step| time_s(answers[1], step) - time_s(answers[0], step))
+            .collect();
+        let total_s: f64 = longer_s.iter().map(|longer_s| longer_s.abs()).sum();
+        Self {
+            mean_s: total_s / longer_s.len().max(1) as f64,
+            shorter_s: longer_s
+                .iter()
+                .fold(0.0, |most, longer_s| most.max(-longer_s)),
+            longer_s: longer_s.iter().copied().fold(0.0, f64::max),
+        }
+    }
+
+    fn to_json(self) -> Value {
+        json!({ "mean_s": self.mean_s, "shorter_s": self.shorter_s, "longer_s": self.longer_s })
+    }
 }
 
 fn to_json(episode: &Episode, answers: &[&Answers; 2], differences_m: &[Option<f64>]) -> Value {
     let source = |answers: &Answers| {
         json!({
             "images": answers.name,
-            "mean_ade_m": Moments::from_values(&known(&answers.ade_m)).map(|moments| moments.mean),
+            "mean_ade_m": mean_ade_m(answers),
             "min_ttc_s": min_ttc_s(answers),
             "ade_m": answers.ade_m,
             "ttc_s": answers.ttc_s,
@@ -343,6 +386,7 @@ fn to_json(episode: &Episode, answers: &[&Answers; 2], differences_m: &[Option<f
         "reference": source(answers[0]),
         "other": source(answers[1]),
         "plan_difference_m": differences_m,
+        "ttc_difference": TtcGap::new(answers).to_json(),
         "compared_at_s": COMPARED_S,
     })
 }
@@ -352,6 +396,36 @@ mod tests {
     use super::*;
     use decouplegs::scene::PlanPoint;
     use glam::DVec2;
+
+    #[test]
+    fn a_planner_that_is_blind_has_a_gap_in_its_times_to_collision() {
+        let answers = |ttc_s: [Option<f64>; 4]| Answers {
+            name: "images".into(),
+            plans: [true, true, true, false]
+                .map(|is_there| is_there.then(straight))
+                .to_vec(),
+            ade_m: vec![None; 4],
+            ttc_s: ttc_s.to_vec(),
+        };
+        let seeing = answers([Some(2.0), Some(3.0), None, Some(1.0)]);
+        // It no longer brakes for what is there, and for nothing instead.
+        let blind = answers([None, Some(2.5), None, None]);
+        let gap = TtcGap::new(&[&seeing, &blind]);
+        let longer_s = TTC_HORIZON_S - 2.0;
+        assert_eq!((gap.shorter_s, gap.longer_s), (0.5, longer_s));
+        assert!((gap.mean_s - (longer_s + 0.5) / 3.0).abs() < 1e-12);
+        assert_eq!(TtcGap::new(&[&seeing, &seeing]), TtcGap::default());
+        let text = text(&[&seeing, &blind], &[]);
+        assert!(text.starts_with("plans differ by"), "{text}");
+    }
+
+    fn straight() -> Plan {
+        let point = PlanPoint {
+            time_s: 1.0,
+            position_m: DVec2::new(8.0, 0.0),
+        };
+        Plan::new(vec![point]).unwrap()
+    }
 
     #[test]
     fn plans_differ_by_what_is_between_them() {

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use decouplegs_logs::read_episode_log;
 
 use super::external::{External, Timeouts, Transport};
-use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision};
+use super::{ConstantVelocity, LaneFollow, Learned, Planner, PlannerError, Replay, Vision};
 
 /// Choice of a planner. It can be opened many times over: each thread that drives episodes has a
 /// planner of its own.
@@ -17,6 +17,8 @@ use super::{ConstantVelocity, LaneFollow, Planner, PlannerError, Replay, Vision}
 /// | `constant-velocity` | [`ConstantVelocity`] |
 /// | `lane-follow` | [`LaneFollow`] |
 /// | `vision` | [`Vision`] |
+/// | `learned` | [`Learned`] |
+/// | `learned:FILE` | [`Learned`] with the network in this file |
 /// | `replay:LOG` | [`Replay`] of an episode's log |
 /// | `exec:COMMAND ARGUMENTS` | [`External`], a process; words with blanks stand in `'` or `"` |
 /// | `unix:PATH` | [`External`], a server on a Unix socket |
@@ -28,6 +30,9 @@ pub enum PlannerChoice {
     LaneFollow,
     /// Planner that drives by camera images.
     Vision,
+    /// Planner that learned to drive by camera images, with the network in this file; `None` for
+    /// its own.
+    Learned(Option<PathBuf>),
     /// The way of the ego in the episode of this log.
     Replay(PathBuf),
     /// An external planner.
@@ -45,6 +50,8 @@ impl PlannerChoice {
             Self::ConstantVelocity => Box::new(ConstantVelocity),
             Self::LaneFollow => Box::new(LaneFollow::default()),
             Self::Vision => Box::new(Vision::default()),
+            Self::Learned(None) => Box::new(Learned::default()),
+            Self::Learned(Some(file)) => Box::new(Learned::from_file(file)?),
             Self::Replay(log) => {
                 let episode =
                     read_episode_log(log).map_err(|error| PlannerError(error.to_string()))?;
@@ -66,6 +73,8 @@ impl FromStr for PlannerChoice {
             ("constant-velocity", None) => Ok(Self::ConstantVelocity),
             ("lane-follow", None) => Ok(Self::LaneFollow),
             ("vision", None) => Ok(Self::Vision),
+            ("learned", None) => Ok(Self::Learned(None)),
+            ("learned", Some(file)) if !file.is_empty() => Ok(Self::Learned(Some(file.into()))),
             ("replay", Some(log)) if !log.is_empty() => Ok(Self::Replay(log.into())),
             ("unix", Some(path)) if !path.is_empty() => {
                 Ok(Self::External(Transport::Socket(path.into())))
@@ -77,7 +86,7 @@ impl FromStr for PlannerChoice {
                 words => Ok(Self::External(Transport::Command(words))),
             },
             _ => Err(format!(
-                "unknown planner {text:?}; expected constant-velocity, lane-follow, vision, replay:LOG, exec:COMMAND ARGUMENTS or unix:PATH"
+                "unknown planner {text:?}; expected constant-velocity, lane-follow, vision, learned, learned:FILE, replay:LOG, exec:COMMAND ARGUMENTS or unix:PATH"
             )),
         }
     }
@@ -89,6 +98,8 @@ impl fmt::Display for PlannerChoice {
             Self::ConstantVelocity => f.write_str("constant-velocity"),
             Self::LaneFollow => f.write_str("lane-follow"),
             Self::Vision => f.write_str("vision"),
+            Self::Learned(None) => f.write_str("learned"),
+            Self::Learned(Some(file)) => write!(f, "learned:{}", file.display()),
             Self::Replay(log) => write!(f, "replay:{}", log.display()),
             Self::External(Transport::Socket(path)) => write!(f, "unix:{}", path.display()),
             Self::External(Transport::Command(words)) => {
@@ -151,6 +162,8 @@ mod tests {
             "constant-velocity",
             "lane-follow",
             "vision",
+            "learned",
+            "learned:a b.safetensors",
             "replay:a b/c.log",
             "unix:run/p.sock",
             "exec:python3 -u my.py",
@@ -171,10 +184,18 @@ mod tests {
 
     #[test]
     fn what_is_no_planner_is_refused_with_what_is() {
-        for text in ["", "fast", "replay:", "unix:", "replay", "lane-follow:x"] {
+        for text in [
+            "",
+            "fast",
+            "replay:",
+            "unix:",
+            "replay",
+            "lane-follow:x",
+            "learned:",
+        ] {
             let refusal = text.parse::<PlannerChoice>().unwrap_err();
             assert!(
-                refusal.contains("expected constant-velocity, lane-follow, vision, replay:LOG"),
+                refusal.contains("expected constant-velocity, lane-follow, vision, learned, learned:FILE, replay:LOG"),
                 "{refusal}"
             );
         }

@@ -22,6 +22,12 @@ use self::session::Session;
 use super::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 use crate::planner::{images, sweeps};
 
+/// `observation` as the protocol tells it to a planner, without the bytes of images and sweeps.
+#[must_use]
+pub fn observation_json(observation: &Observation) -> serde_json::Value {
+    message::observe(observation)
+}
+
 /// Transport to an external planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Transport {

@@ -10,14 +10,16 @@ mod choice;
 mod constant_velocity;
 mod external;
 mod lane_follow;
+mod learned;
 mod replay;
 mod vision;
 
 pub use cadence::plan_through;
 pub use choice::PlannerChoice;
 pub use constant_velocity::ConstantVelocity;
-pub use external::{External, ExternalAgents, Timeouts, Transport};
+pub use external::{External, ExternalAgents, Timeouts, Transport, observation_json};
 pub use lane_follow::LaneFollow;
+pub use learned::Learned;
 pub use replay::Replay;
 pub use vision::{Perception, Vision};
 
