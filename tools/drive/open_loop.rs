@@ -334,7 +334,9 @@ fn mean_ade_m(answers: &Answers) -> Option<f64> {
 }
 
 /// Differences of times to collision between plans for other images and those for the reference,
-/// step by step. One that becomes longer is no gain: a planner that sees less may also miss what it brakes
+/// step by step.
+///
+/// A time that becomes longer is no gain: a planner that sees less may also miss what it brakes
 /// for. It counts as a difference like one that becomes shorter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct TtcGap {
