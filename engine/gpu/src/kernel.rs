@@ -1,7 +1,5 @@
 //! Kernels: a compute pipeline whose buffers, constants and layouts go by the names in the shader.
 
-mod module;
-mod reflection;
 mod shared;
 
 use std::sync::{
@@ -10,6 +8,8 @@ use std::sync::{
 };
 
 use ash::vk;
+pub use decouplegs_spirv::Access;
+use decouplegs_spirv::{Block, Interface, Kind, reflect};
 
 use crate::{
     GpuError, KernelReport, Limits,
@@ -17,20 +17,7 @@ use crate::{
     device::BINDINGS_MAX,
     error::failed,
 };
-use module::Kind;
-use reflection::{Block, Interface};
 pub(crate) use shared::Kernels;
-
-/// Access of a kernel to a buffer, from `readonly` and `writeonly` in the shader.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// Declared `readonly`.
-    Read,
-    /// Declared `writeonly`.
-    Write,
-    /// Declared neither.
-    ReadWrite,
-}
 
 /// The value of a specialization constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -150,7 +137,7 @@ impl Kernel {
             kernel: name,
             reason,
         };
-        let interface = reflection::reflect(spirv).map_err(refuse)?;
+        let interface = reflect(spirv).map_err(refuse)?;
         let constants = match replaced.is_some() {
             // A kernel on trial may do without a constant of the program's.
             true => constants_in(&interface, &constants),

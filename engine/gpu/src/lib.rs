@@ -6,7 +6,7 @@
 //! gives a [`Ticket`] to wait for and to read times from.
 //!
 //! # Reading order
-//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and
+//! `choice` and `device` (opening), `memory` and `buffer`, `kernel` and
 //! `kernel_cache`, `recorder`, `commands` and `hazards` (all barriers),
 //! `queue` (submitting, waiting, repeating), `transfer` (staged uploads and reads).
 //!

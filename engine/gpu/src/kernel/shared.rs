@@ -2,9 +2,10 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use decouplegs_spirv::Kind;
 use xxhash_rust::xxh3::xxh3_128;
 
-use super::{Constant, Kernel, module::Kind};
+use super::{Constant, Kernel};
 use crate::{GpuError, KernelReport, context::Context};
 
 /// Kernels kept at most. A renderer uses about 30, and settings of a scene change some of them.

@@ -1,7 +1,7 @@
 //! Reflection of a SPIR-V module: bindings by name, push constants, specialization constants,
 //! workgroup size.
 
-use super::{
+use crate::{
     Access,
     module::{Declarations, Kind, Type, decoration},
 };
@@ -14,44 +14,56 @@ const CLASS_STORAGE_BUFFER: u32 = 12;
 
 /// A compute module's interface.
 #[derive(Debug)]
-pub(crate) struct Interface {
-    pub(crate) entry_point: String,
+pub struct Interface {
+    /// Name of the function that runs.
+    pub entry_point: String,
     /// Bindings in the order of their number.
-    pub(crate) bindings: Vec<ReflectedBinding>,
-    pub(crate) push: Option<Block>,
-    pub(crate) constants: Vec<ReflectedConstant>,
+    pub bindings: Vec<ReflectedBinding>,
+    /// Push constants.
+    pub push: Option<Block>,
+    /// Specialization constants in the order of their ids.
+    pub constants: Vec<ReflectedConstant>,
     /// Numbers of the declared capabilities.
-    pub(crate) capabilities: Vec<u32>,
+    pub capabilities: Vec<u32>,
     workgroup: [Size; 3],
 }
 
+/// A buffer that a module binds.
 #[derive(Debug)]
-pub(crate) struct ReflectedBinding {
-    pub(crate) name: String,
-    pub(crate) binding: u32,
-    pub(crate) access: Access,
+pub struct ReflectedBinding {
+    /// The block's instance name; without one, the name of its only member, else of the block.
+    pub name: String,
+    /// Binding number.
+    pub binding: u32,
+    /// Access of the module.
+    pub access: Access,
     /// True for a uniform buffer, false for a storage buffer.
-    pub(crate) uniform: bool,
-    pub(crate) block: Block,
+    pub uniform: bool,
+    /// Layout of its content.
+    pub block: Block,
 }
 
 /// The memory layout of what a buffer holds.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Block {
+pub struct Block {
     /// Names and offsets of the members; of the element's, where the block is nothing but an array
     /// of structures.
-    pub(crate) members: Vec<(String, u32)>,
+    pub members: Vec<(String, u32)>,
     /// Bytes from element to element, where the block is nothing but an array.
-    pub(crate) stride: Option<u32>,
+    pub stride: Option<u32>,
     /// Size without a trailing array of open length.
-    pub(crate) bytes: u32,
+    pub bytes: u32,
 }
 
+/// A specialization constant.
 #[derive(Debug)]
-pub(crate) struct ReflectedConstant {
-    pub(crate) name: String,
-    pub(crate) spec_id: u32,
-    pub(crate) kind: Kind,
+pub struct ReflectedConstant {
+    /// Name in the shader.
+    pub name: String,
+    /// Id in the shader.
+    pub spec_id: u32,
+    /// Type of its value.
+    pub kind: Kind,
 }
 
 /// A workgroup's size along one axis: a number, which a specialization constant may replace.
@@ -63,7 +75,7 @@ struct Size {
 
 impl Interface {
     /// The workgroup size when the constants in `specialized`, by their ids, have these bits.
-    pub(crate) fn workgroup_size(&self, specialized: &[(u32, u32)]) -> [u32; 3] {
+    pub fn workgroup_size(&self, specialized: &[(u32, u32)]) -> [u32; 3] {
         self.workgroup.map(|size| {
             let replaced = specialized.iter().find(|(id, _)| Some(*id) == size.spec_id);
             replaced.map_or(size.value, |(_, bits)| *bits)
@@ -76,7 +88,7 @@ impl Interface {
 /// # Errors
 /// A sentence, when it is no SPIR-V, has no compute entry point, or binds something other than
 /// storage and uniform buffers in set 0.
-pub(crate) fn reflect(words: &[u32]) -> Result<Interface, String> {
+pub fn reflect(words: &[u32]) -> Result<Interface, String> {
     Declarations::parse(words)?.interface()
 }
 
@@ -318,12 +330,13 @@ mod tests {
     }
 
     fn layout() -> Vec<u32> {
-        words(include_bytes!("../../tests/kernels/layout.spv"))
+        words(include_bytes!("../../gpu/tests/kernels/layout.spv"))
     }
 
     #[test]
     fn constants_that_size_the_workgroup_do_so_by_name() {
-        let interface = reflect(&words(include_bytes!("../../tests/kernels/scale.spv"))).unwrap();
+        let interface =
+            reflect(&words(include_bytes!("../../gpu/tests/kernels/scale.spv"))).unwrap();
         let names: Vec<(&str, Kind)> = interface
             .constants
             .iter()
@@ -343,7 +356,7 @@ mod tests {
 
     #[test]
     fn a_constant_without_a_name_goes_by_what_it_sizes() {
-        let mut words = words(include_bytes!("../../tests/kernels/scale.spv"));
+        let mut words = words(include_bytes!("../../gpu/tests/kernels/scale.spv"));
         // Take the name GROUP_SIZE out of the module, as an optimizer does when nothing else uses
         // the constant.
         let start = [u32::from_le_bytes(*b"GROU"), u32::from_le_bytes(*b"P_SI")];

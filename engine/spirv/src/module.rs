@@ -59,12 +59,18 @@ const MODEL_COMPUTE: u32 = 5;
 const MODE_LOCAL_SIZE: u32 = 17;
 const MODE_LOCAL_SIZE_ID: u32 = 38;
 
+/// Type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub enum Kind {
+    /// `bool`
     Bool,
+    /// `uint`
     U32,
+    /// `int`
     I32,
+    /// `float`
     F32,
+    /// Numbers of other sizes.
     Other,
 }
 
