@@ -8,8 +8,8 @@ use bytemuck::Pod;
 
 use crate::{
     Buffer, Constant, DeviceChoice, DeviceInfo, DeviceOptions, DeviceSet, GpuError, Kernel,
-    KernelCounts, KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket,
-    Uploads, choice, context::Context, device, drill::DrillState, instance::Instance,
+    KernelCounts, KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Shader,
+    Ticket, Uploads, choice, context::Context, device, drill::DrillState, instance::Instance,
     kernel::Kernels, memory::BufferMemory, queue::Queue, transfer,
 };
 
@@ -297,6 +297,18 @@ impl Gpu {
         self.0
             .kernels
             .find_or_build(&self.0.context, name, spirv, constants)
+    }
+
+    /// Builds the kernel of the shader `S`. A kernel of the same shader with equal constants is
+    /// the same one: it is not built again.
+    ///
+    /// # Errors
+    /// Returns an error if the device lacks a feature that the shader uses, its workgroup is too
+    /// large for the device, the driver cannot build it, or a kernel on trial that replaces it
+    /// ([`DeviceOptions::trial`]) takes other buffers or push constants.
+    pub fn typed_kernel<S: Shader>(&self, constants: &S::Constants) -> Result<Kernel<S>, GpuError> {
+        let kernels = &self.0.kernels;
+        kernels.find_or_build_typed(&self.0.context, constants)
     }
 
     /// Starts a list of commands.

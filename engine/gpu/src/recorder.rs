@@ -2,10 +2,10 @@
 
 use std::{borrow::Cow, sync::Arc};
 
-use bytemuck::Pod;
+use bytemuck::{Pod, bytes_of};
 
 use crate::{
-    Bound, Buffer, Kernel,
+    BoundMemory, Buffer, Kernel, Shader,
     commands::{Command, CommandList},
     context::Context,
     kernel::KernelCore,
@@ -81,7 +81,7 @@ impl Recorder {
     pub fn dispatch(
         &mut self,
         kernel: &Kernel,
-        buffers: &[(&str, Bound<'_>)],
+        buffers: &[(&str, BoundMemory<'_>)],
         push: &[u8],
         groups: [u32; 3],
     ) {
@@ -106,9 +106,9 @@ impl Recorder {
     pub fn dispatch_indirect(
         &mut self,
         kernel: &Kernel,
-        buffers: &[(&str, Bound<'_>)],
+        buffers: &[(&str, BoundMemory<'_>)],
         push: &[u8],
-        arguments: Bound<'_>,
+        arguments: BoundMemory<'_>,
         byte_offset: u64,
     ) {
         let bytes = arguments.memory.byte_len;
@@ -124,11 +124,62 @@ impl Recorder {
         self.list.add(Command::DispatchIndirect(byte_offset));
     }
 
+    /// Runs `groups` workgroups of `kernel` on `bindings`, with the push constants `push`.
+    ///
+    /// # Panics
+    /// Panics if there are more workgroups than the device's limit, or a uniform buffer is shorter
+    /// than the kernel's.
+    pub fn dispatch_typed<S: Shader>(
+        &mut self,
+        kernel: &Kernel<S>,
+        bindings: S::Bindings<'_>,
+        push: S::Push,
+        groups: [u32; 3],
+    ) {
+        let max = self.context.limits.dispatch_groups_max;
+        let fits = groups.iter().zip(&max).all(|(groups, max)| groups <= max);
+        assert!(
+            fits,
+            "kernel {}: {groups:?} workgroups, the device runs at most {max:?}",
+            kernel.name()
+        );
+        self.bind_typed(kernel, bindings, push);
+        self.list.add(Command::Dispatch(groups));
+    }
+
+    /// Like [`Recorder::dispatch_typed`], with the number of workgroups read on the device: three
+    /// `u32` at `byte_offset` of `arguments`. The writer keeps them within `dispatch_groups_max`.
+    ///
+    /// # Panics
+    /// Panics as [`Recorder::dispatch_typed`] does, and if the offset is not a multiple of 4 or
+    /// reaches outside the buffer.
+    pub fn dispatch_typed_indirect<S: Shader, T>(
+        &mut self,
+        kernel: &Kernel<S>,
+        bindings: S::Bindings<'_>,
+        push: S::Push,
+        arguments: &Buffer<T>,
+        byte_offset: u64,
+    ) {
+        let bytes = arguments.memory.byte_len;
+        let fits = byte_offset.is_multiple_of(4)
+            && byte_offset.checked_add(12).is_some_and(|end| end <= bytes);
+        assert!(
+            fits,
+            "kernel {}: no indirect arguments at byte {byte_offset} of {:?}",
+            kernel.name(),
+            arguments.binding()
+        );
+        self.bind_typed(kernel, bindings, push);
+        self.use_buffer(&arguments.memory);
+        self.list.add(Command::DispatchIndirect(byte_offset));
+    }
+
     /// Sets `byte_len` bytes from `byte_offset` on to repetitions of `value`.
     ///
     /// # Panics
     /// Panics if offset or length is not a multiple of 4, or the range is not inside the buffer.
-    pub fn fill(&mut self, buffer: Bound<'_>, byte_offset: u64, byte_len: u64, value: u32) {
+    pub fn fill(&mut self, buffer: BoundMemory<'_>, byte_offset: u64, byte_len: u64, value: u32) {
         let end = byte_offset.checked_add(byte_len);
         let fits = end.is_some_and(|end| end <= buffer.memory.byte_len.next_multiple_of(4));
         let words = byte_offset.is_multiple_of(4) && byte_len.is_multiple_of(4);
@@ -220,7 +271,7 @@ impl Recorder {
     }
 
     /// Notes all that a dispatch needs.
-    fn bind(&mut self, kernel: &Kernel, buffers: &[(&str, Bound<'_>)], push: &[u8]) {
+    fn bind(&mut self, kernel: &Kernel, buffers: &[(&str, BoundMemory<'_>)], push: &[u8]) {
         let core = &kernel.core;
         assert!(
             push.len() == core.push_len(),
@@ -229,9 +280,12 @@ impl Recorder {
             push.len(),
             core.push_len()
         );
-        for (&index, binding) in resolve(core, buffers).iter().zip(&core.bindings) {
+        for (&index, binding) in resolve(core, buffers)
+            .iter()
+            .zip(core.interface.bindings.iter())
+        {
             let memory = buffers[usize::from(index)].1.memory;
-            let wanted_bytes = binding.uniform_bytes().unwrap_or(0);
+            let wanted_bytes = u64::from(binding.uniform_bytes.unwrap_or(0));
             assert!(
                 memory.bound_bytes >= wanted_bytes,
                 "kernel {}: buffer {} of {} bytes, the shader reads {wanted_bytes} of '{}'",
@@ -243,6 +297,31 @@ impl Recorder {
             self.use_buffer(memory);
         }
         self.list.use_kernel(core, push);
+    }
+
+    /// Notes all that a dispatch needs.
+    fn bind_typed<S: Shader>(
+        &mut self,
+        kernel: &Kernel<S>,
+        bindings: S::Bindings<'_>,
+        push: S::Push,
+    ) {
+        let core = &kernel.core;
+        let buffers = S::buffers(&bindings);
+        for (bound, binding) in buffers.as_ref().iter().zip(core.interface.bindings.iter()) {
+            let memory = bound.memory;
+            let wanted_bytes = u64::from(binding.uniform_bytes.unwrap_or(0));
+            assert!(
+                memory.bound_bytes >= wanted_bytes,
+                "kernel {}: buffer {} of {} bytes, the shader reads {wanted_bytes} of '{}'",
+                core.name,
+                memory.name,
+                memory.bound_bytes,
+                binding.name
+            );
+            self.use_buffer(memory);
+        }
+        self.list.use_kernel(core, bytes_of(&push));
     }
 
     fn use_buffer(&mut self, memory: &Arc<BufferMemory>) {
@@ -260,8 +339,13 @@ impl Recorder {
 ///
 /// # Panics
 /// Panics if a name is not the kernel's, comes twice, or a binding is not given.
-fn resolve<'a>(core: &'a KernelCore, buffers: &[(&str, Bound<'_>)]) -> Cow<'a, [u8]> {
-    let names = || core.bindings.iter().map(|binding| binding.name.as_str());
+fn resolve<'a>(core: &'a KernelCore, buffers: &[(&str, BoundMemory<'_>)]) -> Cow<'a, [u8]> {
+    let names = || {
+        core.interface
+            .bindings
+            .iter()
+            .map(|binding| binding.name.as_ref())
+    };
     let known = core.indices.get().filter(|indices| {
         let given = |&index: &u8| buffers.get(usize::from(index)).map(|(name, _)| *name);
         indices.len() == buffers.len() && indices.iter().map(given).eq(names().map(Some))

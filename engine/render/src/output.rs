@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use bytemuck::Pod;
-use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, MemoryKind};
+use decouplegs_gpu::{BoundMemory, Buffer, Constant, Gpu, GpuError, MemoryKind};
 
 use crate::plane::{Plane, Planes};
 
@@ -131,7 +131,7 @@ impl OutputBuffers {
         self.pixels
     }
 
-    pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 3] {
+    pub(crate) fn bindings(&self) -> [(&'static str, BoundMemory<'_>); 3] {
         [
             ("images_f32", self.images_f32.binding()),
             ("images_u8", self.images_u8.binding()),

@@ -4,11 +4,13 @@
 //! [`reflect`] reads an [`Interface`] from a module.
 #![forbid(unsafe_code)]
 
+mod interface;
 mod module;
 mod reflection;
 
+pub use interface::{Binding, Interface, Member, Record, Size, SpecConstant};
 pub use module::Kind;
-pub use reflection::{Block, Interface, ReflectedBinding, ReflectedConstant, reflect};
+pub use reflection::{records, reflect};
 
 /// Access of a kernel to a buffer, from `readonly` and `writeonly` in the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,18 +2,18 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use decouplegs_spirv::Kind;
+use decouplegs_spirv::{Interface, Kind, reflect};
 use xxhash_rust::xxh3::xxh3_128;
 
-use super::{Constant, Kernel};
-use crate::{GpuError, KernelReport, context::Context};
+use super::{Constant, Kernel, KernelCore};
+use crate::{GpuError, KernelReport, Shader, context::Context};
 
 /// Kernels kept at most. A renderer uses about 30, and settings of a scene change some of them.
 const KEPT_MAX: usize = 256;
 
 /// Kernels that were built, the last used ones last.
 #[derive(Default)]
-pub(crate) struct Kernels(Mutex<Vec<(Key, Kernel)>>);
+pub(crate) struct Kernels(Mutex<Vec<(Key, Arc<KernelCore>)>>);
 
 /// Everything that a kernel is built from.
 #[derive(PartialEq, Eq)]
@@ -29,8 +29,29 @@ impl Kernels {
     /// Figures of the driver for all kernels, in the order of their last use.
     pub(crate) fn reports(&self) -> Vec<KernelReport> {
         let kernels = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let reports = kernels.iter().filter_map(|(_, kernel)| kernel.report());
+        let reports = kernels.iter().filter_map(|(_, core)| core.report.as_ref());
         reports.cloned().collect()
+    }
+
+    /// The kernel of the shader `S` with equal constants; a new one if there is none.
+    ///
+    /// # Errors
+    /// Returns the errors of [`crate::Gpu::typed_kernel`].
+    pub(crate) fn find_or_build_typed<S: Shader>(
+        &self,
+        context: &Arc<Context>,
+        constants: &S::Constants,
+    ) -> Result<Kernel<S>, GpuError> {
+        let interface = S::INTERFACE;
+        let values = S::values(constants);
+        let constants: Vec<(&str, Constant)> = (interface.constants.iter())
+            .zip(values.as_ref())
+            .map(|(declared, value)| (declared.name.as_ref(), *value))
+            .collect();
+        let core = self.core(S::NAME, S::spirv(), &constants, || {
+            build(context, S::NAME, S::spirv(), &interface, &constants)
+        })?;
+        Ok(Kernel::from_core(core))
     }
 
     /// The kernel of equal name, module and constants; a new one if there is none.
@@ -44,6 +65,24 @@ impl Kernels {
         spirv: &[u32],
         constants: &[(&str, Constant)],
     ) -> Result<Kernel, GpuError> {
+        let core = self.core(name, spirv, constants, || {
+            let interface = reflect(spirv).map_err(|reason| GpuError::Kernel {
+                kernel: name,
+                reason,
+            })?;
+            build(context, name, spirv, &interface, constants)
+        })?;
+        Ok(Kernel::from_core(core))
+    }
+
+    /// The kernel of equal name, module and constants; what `build` makes if there is none.
+    fn core(
+        &self,
+        name: &'static str,
+        spirv: &[u32],
+        constants: &[(&str, Constant)],
+        build: impl FnOnce() -> Result<KernelCore, GpuError>,
+    ) -> Result<Arc<KernelCore>, GpuError> {
         let key = Key {
             name,
             spirv: xxh3_128(bytemuck::cast_slice(spirv)),
@@ -61,12 +100,40 @@ impl Kernels {
         // Others may build meanwhile: drivers take up to seconds. A kernel that two build at once
         // is there twice.
         drop(kernels);
-        let kernel = Kernel::new(context, name, spirv, constants)?;
+        let core = Arc::new(build()?);
         let mut kernels = lock();
         if kernels.len() >= KEPT_MAX {
             kernels.remove(0);
         }
-        kernels.push((key, kernel.clone()));
-        Ok(kernel)
+        kernels.push((key, core.clone()));
+        Ok(core)
     }
+}
+
+/// Builds a kernel, or the one that replaces it on trial.
+fn build(
+    context: &Arc<Context>,
+    name: &'static str,
+    spirv: &[u32],
+    interface: &Interface,
+    constants: &[(&str, Constant)],
+) -> Result<KernelCore, GpuError> {
+    let mut constants = context.trial.constants(name, constants)?;
+    let Some(spirv) = context.trial.spirv(name) else {
+        return KernelCore::new(context, name, spirv, interface.clone(), &constants);
+    };
+    let refuse = |reason| GpuError::Trial {
+        path: format!("{name}.spv").into(),
+        reason,
+    };
+    let replacing = reflect(spirv).map_err(refuse)?;
+    if let Some(fault) = interface.fault(&replacing) {
+        return Err(refuse(format!(
+            "does not take what the program gives {name}: {fault}"
+        )));
+    }
+    // A kernel on trial may do without a constant of the program's.
+    let has = |name: &str| (replacing.constants.iter()).any(|declared| declared.name == name);
+    constants.retain(|(name, _)| has(name));
+    KernelCore::new(context, name, spirv, replacing, &constants)
 }

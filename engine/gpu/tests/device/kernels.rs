@@ -3,7 +3,7 @@
 use std::fs;
 
 use decouplegs_gpu::{
-    Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole, Recorder,
+    Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole, Recorder,
 };
 
 use crate::{Watched, bytes, scale, scale_push, spirv};
@@ -37,61 +37,6 @@ fn constants_are_given_by_name() {
     gpu.submit(recorder, &[]).unwrap();
     let expected: Vec<i32> = source.iter().map(|value| -(value * 3 + 7)).collect();
     assert_eq!(gpu.read(&to).unwrap(), expected);
-}
-
-#[test]
-fn bindings_say_name_access_and_layout() {
-    let gpu = Watched::open();
-    let kernel = gpu.kernel("layout", &spirv("layout"), &[]).unwrap();
-    let bindings: Vec<(&str, Access)> = kernel
-        .bindings()
-        .iter()
-        .map(|binding| (binding.name.as_str(), binding.access))
-        .collect();
-    // By binding number: the block with an instance name goes by it, the others by their only
-    // member.
-    assert_eq!(
-        bindings,
-        [
-            ("counted", Access::ReadWrite),
-            ("item", Access::Write),
-            ("items", Access::Read)
-        ]
-    );
-    assert_eq!(kernel.workgroup_size(), [8, 4, 2]);
-    let named = |members: &[(&str, u32)]| {
-        Some(
-            members
-                .iter()
-                .map(|(name, offset)| ((*name).to_owned(), *offset))
-                .collect::<Vec<_>>(),
-        )
-    };
-    assert_eq!(
-        kernel.member_offsets("items"),
-        named(&[("mean", 0), ("id", 12), ("extent", 16)])
-    );
-    assert_eq!(
-        kernel.member_offsets("item"),
-        named(&[("mean", 0), ("id", 12), ("extent", 16)])
-    );
-    assert_eq!(
-        kernel.member_offsets("counted"),
-        named(&[("count", 0), ("weights", 4), ("ids", 20)])
-    );
-    assert_eq!(kernel.member_offsets("nothing"), None);
-    assert_eq!(
-        (
-            kernel.element_stride("items"),
-            kernel.element_stride("counted")
-        ),
-        (Some(24), None)
-    );
-    assert_eq!(kernel.push_bytes(), 16 + 3 * 16);
-    assert_eq!(
-        Some(kernel.push_member_offsets().to_vec()),
-        named(&[("origin", 0), ("count", 12), ("turn", 16)])
-    );
 }
 
 #[test]

@@ -52,7 +52,7 @@ pub use tile_sort::{
     TileSort, TileSortBuffers,
 };
 
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind};
+use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, Member, MemoryKind};
 use decouplegs_shaders::constants;
 
 use crate::layout::{ARGUMENT_SETS, CameraRecord, LensRecord, RequiredCounts};
@@ -197,7 +197,7 @@ fn kernel<P: PushConstants>(
     constants: &[(&str, Constant)],
 ) -> Result<Kernel, GpuError> {
     let kernel = gpu.kernel(shader.name, shader.spirv, constants)?;
-    match push_fault::<P>(kernel.push_member_offsets(), kernel.push_bytes()) {
+    match push_fault::<P>(kernel.push_members(), kernel.push_bytes()) {
         Some(reason) => Err(GpuError::Kernel {
             kernel: shader.name,
             reason,
@@ -207,10 +207,10 @@ fn kernel<P: PushConstants>(
 }
 
 /// Difference between the push constants of host and shader, if there is one.
-fn push_fault<P: PushConstants>(members: &[(String, u32)], bytes: u32) -> Option<String> {
+fn push_fault<P: PushConstants>(members: &[Member], bytes: u32) -> Option<String> {
     let shader = members
         .iter()
-        .map(|(name, offset)| (name.as_str(), *offset as usize));
+        .map(|member| (&*member.name, member.offset as usize));
     let same = shader.eq(P::MEMBERS.iter().copied()) && bytes as usize == size_of::<P>();
     (!same).then(|| {
         let (host, host_bytes) = (P::MEMBERS, size_of::<P>());
@@ -220,7 +220,7 @@ fn push_fault<P: PushConstants>(members: &[(String, u32)], bytes: u32) -> Option
 
 #[cfg(test)]
 mod tests {
-    use super::push_fault;
+    use super::{Member, push_fault};
 
     push_constants! {
         struct Push {
@@ -231,8 +231,13 @@ mod tests {
 
     #[test]
     fn other_push_constants_are_refused() {
-        let members =
-            |members: [(&str, u32); 2]| members.map(|(name, offset)| (name.to_owned(), offset));
+        let members = |members: [(&'static str, u32); 2]| {
+            members.map(|(name, offset)| Member {
+                name: name.into(),
+                holds: "u32".into(),
+                offset,
+            })
+        };
         assert_eq!(
             push_fault::<Push>(&members([("sky", 0), ("count", 12)]), 16),
             None
