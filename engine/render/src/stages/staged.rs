@@ -2,7 +2,7 @@
 //! makes.
 
 use bytemuck::Pod;
-use decouplegs_gpu::{BoundMemory, Buffer, Gpu, GpuError, MemoryKind, Recorder};
+use decouplegs_gpu::{Bound, Buffer, Gpu, GpuError, MemoryKind, Recorder};
 
 use super::PURPOSE;
 
@@ -59,7 +59,7 @@ impl<T: Pod> Staged<T> {
 
     /// The buffer on the device, for a kernel.
     #[must_use]
-    pub fn binding(&self) -> BoundMemory<'_> {
-        self.device.binding()
+    pub fn bound(&self) -> Bound<'_, T> {
+        self.device.bound()
     }
 }

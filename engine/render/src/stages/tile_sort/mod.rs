@@ -21,10 +21,10 @@ pub use plan_lists::PlanLists;
 pub use sort_buckets::SortBuckets;
 pub use split_slabs::SplitSlabs;
 
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{FrameCounters, PURPOSE, Projected, TileLists, least_response};
+use super::{FrameCounters, PURPOSE, Projected, TileLists};
 use crate::capacity::Capacity;
 use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists, response_squares_max};
 
@@ -122,19 +122,6 @@ pub struct RecordKind {
     pub lidar: bool,
     /// Largest sum of squares at a pixel that a splat adds to.
     pub squares_max: f32,
-}
-
-impl RecordKind {
-    /// Specialization constants of the kernels that find the coarse tiles of records.
-    fn constants(self) -> [(&'static str, Constant); 4] {
-        let [least, squares] = least_response(self.squares_max);
-        [
-            ("RADIAL", Constant::Bool(self.radial)),
-            ("LIDAR", Constant::Bool(self.lidar)),
-            least,
-            squares,
-        ]
-    }
 }
 
 /// The stages of the sort.
