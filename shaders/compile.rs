@@ -86,7 +86,7 @@ fn compile(compiler: &shaderc::Compiler, shaders: &Path, path: &Path) -> Result<
         shaderc::EnvVersion::Vulkan1_3 as u32,
     );
     options.set_optimization_level(shaderc::OptimizationLevel::Performance);
-    // Kernels are bound by the names in the source: debug information keeps them.
+    // Interfaces have the names in the source: debug information keeps them.
     options.set_generate_debug_info();
     options.set_warnings_as_errors();
     options.set_include_callback(|name, _, _, _| {

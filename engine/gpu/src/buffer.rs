@@ -116,16 +116,10 @@ impl<T> Buffer<T> {
     #[must_use]
     pub fn bound(&self) -> Bound<'_, T> {
         Bound {
-            memory: self.binding(),
+            memory: BoundMemory {
+                memory: &self.memory,
+            },
             element: PhantomData,
-        }
-    }
-
-    /// The buffer without its type.
-    #[must_use]
-    pub fn binding(&self) -> BoundMemory<'_> {
-        BoundMemory {
-            memory: &self.memory,
         }
     }
 }

@@ -1,15 +1,15 @@
-//! Kernels: a compute pipeline whose buffers, constants and layouts go by the names in the shader.
+//! Kernels: compute pipelines of shaders, whose buffers and constants are types.
 
 mod shared;
 
 use std::marker::PhantomData;
 use std::sync::{
-    Arc, OnceLock,
+    Arc,
     atomic::{AtomicU64, Ordering},
 };
 
 use ash::vk;
-use decouplegs_spirv::{Binding, Interface, Kind, Member};
+use decouplegs_spirv::{Binding, Interface, SpecConstant};
 
 use crate::{
     GpuError, KernelReport, Limits,
@@ -51,15 +51,6 @@ impl Constant {
             Self::Bool(value) => u32::from(value),
         }
     }
-
-    fn kind(self) -> Kind {
-        match self {
-            Self::U32(_) => Kind::U32,
-            Self::I32(_) => Kind::I32,
-            Self::F32(_) => Kind::F32,
-            Self::Bool(_) => Kind::Bool,
-        }
-    }
 }
 
 /// Size of a uniform buffer: what Vulkan guarantees (`maxUniformBufferRange`).
@@ -73,107 +64,10 @@ pub(crate) fn descriptor_type(binding: &Binding) -> vk::DescriptorType {
     }
 }
 
-/// A kernel whose buffers and constants are given by name.
-#[derive(Debug)]
-pub struct ByName;
-
 /// A compute pipeline of the shader `S`, ready to be dispatched. Clones share it.
-pub struct Kernel<S = ByName> {
+pub struct Kernel<S> {
     pub(crate) core: Arc<KernelCore>,
     shader: PhantomData<fn() -> S>,
-}
-
-impl<S> Clone for Kernel<S> {
-    fn clone(&self) -> Self {
-        Self::from_core(self.core.clone())
-    }
-}
-
-impl<S> std::fmt::Debug for Kernel<S> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} {:?}", self.core.name, self.core.workgroup_size)
-    }
-}
-
-pub(crate) struct KernelCore {
-    /// Different for each kernel of this process.
-    pub(crate) id: u64,
-    pub(crate) name: &'static str,
-    pub(crate) interface: Interface,
-    /// Indices at which callers give each binding ([`crate::Recorder`]).
-    pub(crate) indices: OnceLock<Vec<u8>>,
-    pub(crate) pipeline: vk::Pipeline,
-    pub(crate) layout: vk::PipelineLayout,
-    set_layout: vk::DescriptorSetLayout,
-    workgroup_size: [u32; 3],
-    subgroups_pinned: bool,
-    /// Figures of the driver, where it was asked.
-    report: Option<KernelReport>,
-    context: Arc<Context>,
-}
-
-impl KernelCore {
-    /// Builds the kernel called `name` from `spirv`, whose interface is `interface`.
-    fn new(
-        context: &Arc<Context>,
-        name: &'static str,
-        spirv: &[u32],
-        interface: Interface,
-        constants: &[(&str, Constant)],
-    ) -> Result<Self, GpuError> {
-        let refuse = |reason| GpuError::Kernel {
-            kernel: name,
-            reason,
-        };
-        let specialized = specialize(name, &interface, constants);
-        let workgroup_size = interface.workgroup_size(&specialized);
-        check_capabilities(context, name, &interface)?;
-        check_sizes(&context.limits, &interface, workgroup_size).map_err(refuse)?;
-        // Handles stay null until they are made, and destroying null does nothing: so a failure
-        // half way leaks nothing.
-        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
-        let mut core = Self {
-            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
-            name,
-            interface,
-            indices: OnceLock::new(),
-            pipeline: vk::Pipeline::null(),
-            layout: vk::PipelineLayout::null(),
-            set_layout: vk::DescriptorSetLayout::null(),
-            workgroup_size,
-            subgroups_pinned: pins_subgroups(context, workgroup_size),
-            report: None,
-            context: context.clone(),
-        };
-        core.make_layout()?;
-        core.make_pipeline(spirv, &specialized)?;
-        core.report = context
-            .executables
-            .as_ref()
-            .map(|executables| KernelReport {
-                name,
-                workgroup_threads: workgroup_size.iter().product(),
-                constants: (constants.iter())
-                    .map(|&(name, constant)| (name.to_owned(), constant))
-                    .collect(),
-                figures: executables.figures(core.pipeline),
-            });
-        Ok(core)
-    }
-}
-
-impl Kernel {
-    /// Size of its push constants.
-    #[must_use]
-    pub fn push_bytes(&self) -> u32 {
-        self.core.interface.push_bytes
-    }
-
-    /// Members of its push constants.
-    #[must_use]
-    pub fn push_members(&self) -> &[Member] {
-        &self.core.interface.push
-    }
 }
 
 impl<S> Kernel<S> {
@@ -204,14 +98,89 @@ impl<S> Kernel<S> {
     }
 }
 
+impl<S> Clone for Kernel<S> {
+    fn clone(&self) -> Self {
+        Self::from_core(self.core.clone())
+    }
+}
+
+impl<S> std::fmt::Debug for Kernel<S> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {:?}", self.core.name, self.core.workgroup_size)
+    }
+}
+
+pub(crate) struct KernelCore {
+    /// Different for each kernel of this process.
+    pub(crate) id: u64,
+    pub(crate) name: &'static str,
+    pub(crate) interface: Interface,
+    pub(crate) pipeline: vk::Pipeline,
+    pub(crate) layout: vk::PipelineLayout,
+    set_layout: vk::DescriptorSetLayout,
+    workgroup_size: [u32; 3],
+    subgroups_pinned: bool,
+    /// Figures of the driver, where it was asked.
+    report: Option<KernelReport>,
+    context: Arc<Context>,
+}
+
 impl KernelCore {
-    pub(crate) fn push_len(&self) -> usize {
-        self.interface.push_bytes as usize
+    /// Builds the kernel called `name` from `spirv`, whose interface is `interface`.
+    fn new(
+        context: &Arc<Context>,
+        name: &'static str,
+        spirv: &[u32],
+        interface: Interface,
+        constants: &[(&str, Constant)],
+    ) -> Result<Self, GpuError> {
+        let refuse = |reason| GpuError::Kernel {
+            kernel: name,
+            reason,
+        };
+        // A kernel on trial may have constants of its own, which keep their values.
+        let given = |declared: &SpecConstant| {
+            let mut constants = constants.iter();
+            let (_, value) = constants.find(|(name, _)| *name == declared.name)?;
+            Some((declared.spec_id, value.bits()))
+        };
+        let specialized: Vec<(u32, u32)> = interface.constants.iter().filter_map(given).collect();
+        let workgroup_size = interface.workgroup_size(&specialized);
+        check_capabilities(context, name, &interface)?;
+        check_sizes(&context.limits, &interface, workgroup_size).map_err(refuse)?;
+        // Handles stay null until they are made, and destroying null does nothing: so a failure
+        // half way leaks nothing.
+        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
+        let mut core = Self {
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            name,
+            interface,
+            pipeline: vk::Pipeline::null(),
+            layout: vk::PipelineLayout::null(),
+            set_layout: vk::DescriptorSetLayout::null(),
+            workgroup_size,
+            subgroups_pinned: pins_subgroups(context, workgroup_size),
+            report: None,
+            context: context.clone(),
+        };
+        core.make_layout()?;
+        core.make_pipeline(spirv, &specialized)?;
+        core.report = context
+            .executables
+            .as_ref()
+            .map(|executables| KernelReport {
+                name,
+                workgroup_threads: workgroup_size.iter().product(),
+                constants: (constants.iter())
+                    .map(|&(name, constant)| (name.to_owned(), constant))
+                    .collect(),
+                figures: executables.figures(core.pipeline),
+            });
+        Ok(core)
     }
 
-    pub(crate) fn binding_names(&self) -> Vec<&str> {
-        let bindings = self.interface.bindings.iter();
-        bindings.map(|found| found.name.as_ref()).collect()
+    pub(crate) fn push_len(&self) -> usize {
+        self.interface.push_bytes as usize
     }
 
     fn make_layout(&mut self) -> Result<(), GpuError> {
@@ -231,8 +200,8 @@ impl KernelCore {
         let create = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
             .bindings(&bindings);
-        // SAFETY: the device has push descriptors, and reflection made sure that binding numbers
-        // differ and are few.
+        // SAFETY: the device has push descriptors; binding numbers differ, as the reader of SPIR-V
+        // made sure, and are few.
         self.set_layout = self
             .context
             .call("vkCreateDescriptorSetLayout", || unsafe {
@@ -275,8 +244,8 @@ impl KernelCore {
             .map_entries(&entries)
             .data(bytemuck::cast_slice(&values));
         let create = vk::ShaderModuleCreateInfo::default().code(spirv);
-        // SAFETY: `spirv` is SPIR-V by its header and reflection; that it is valid beyond that is
-        // the shader compiler's promise.
+        // SAFETY: the shader compiler, which made `spirv`, promises that it is valid; what is on
+        // trial was read as SPIR-V before.
         let module = context.call("vkCreateShaderModule", || unsafe {
             context.device.create_shader_module(&create, None)
         })?;
@@ -306,7 +275,7 @@ impl KernelCore {
             .layout(self.layout)
             .push_next(&mut feedback);
         // SAFETY: module and layout are live and of this device, what `create` points to outlives
-        // the call, and the layout was reflected from the module.
+        // the call, and the layout is that of the module's interface.
         let pipelines = context.code_of("vkCreateComputePipelines", || unsafe {
             let (device, cache) = (&context.device, context.pipelines.cache);
             let pipelines = device.create_compute_pipelines(cache, &[create], None);
@@ -347,41 +316,6 @@ impl Drop for KernelCore {
         // SAFETY: as above.
         unsafe { device.destroy_descriptor_set_layout(self.set_layout, None) };
     }
-}
-
-/// The given constants by their ids.
-///
-/// # Panics
-/// Panics if the shader has no constant of a name, or one of another type.
-fn specialize(
-    kernel: &str,
-    interface: &Interface,
-    constants: &[(&str, Constant)],
-) -> Vec<(u32, u32)> {
-    let found = |name: &str, constant: Constant| {
-        let Some(declared) = interface
-            .constants
-            .iter()
-            .find(|declared| declared.name == name)
-        else {
-            let names: Vec<&str> = interface
-                .constants
-                .iter()
-                .map(|declared| declared.name.as_ref())
-                .collect();
-            panic!("kernel {kernel}: no specialization constant '{name}', it has {names:?}");
-        };
-        assert!(
-            declared.kind == constant.kind(),
-            "kernel {kernel}: specialization constant '{name}' is {:?} in the shader, given is {constant:?}",
-            declared.kind
-        );
-        (declared.spec_id, constant.bits())
-    };
-    constants
-        .iter()
-        .map(|&(name, constant)| found(name, constant))
-        .collect()
 }
 
 fn check_capabilities(

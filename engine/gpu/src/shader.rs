@@ -32,6 +32,77 @@ pub trait Shader {
 
 /// Implements [`Shader`] for a kernel, with the types of what it takes, from a table of its
 /// interface. The compiler of shaders writes such tables.
+///
+/// ```
+/// # mod doubled {
+/// #     decouplegs_gpu::shader! {
+/// #         "doubled", &[];
+/// #         entry_point: "main";
+/// #         workgroup: [(64, None), (1, None), (1, None)];
+/// #         capabilities: [1];
+/// #         bindings {
+/// #             0 values: f32, Read, None;
+/// #             1 doubles: [f32; 2], Write, None;
+/// #         }
+/// #         push 0 {
+/// #         }
+/// #         constants {
+/// #         }
+/// #     }
+/// # }
+/// # use decouplegs_gpu::Buffer;
+/// fn bind<'a>(values: &'a Buffer<f32>, doubles: &'a Buffer<[f32; 2]>) -> doubled::Bindings<'a> {
+///     doubled::Bindings { values: values.bound(), doubles: doubles.bound() }
+/// }
+/// ```
+///
+/// Buffers that are swapped, or are not all there, do not compile:
+///
+/// ```compile_fail,E0308
+/// # mod doubled {
+/// #     decouplegs_gpu::shader! {
+/// #         "doubled", &[];
+/// #         entry_point: "main";
+/// #         workgroup: [(64, None), (1, None), (1, None)];
+/// #         capabilities: [1];
+/// #         bindings {
+/// #             0 values: f32, Read, None;
+/// #             1 doubles: [f32; 2], Write, None;
+/// #         }
+/// #         push 0 {
+/// #         }
+/// #         constants {
+/// #         }
+/// #     }
+/// # }
+/// # use decouplegs_gpu::Buffer;
+/// fn bind<'a>(values: &'a Buffer<f32>, doubles: &'a Buffer<[f32; 2]>) -> doubled::Bindings<'a> {
+///     doubled::Bindings { values: doubles.bound(), doubles: values.bound() }
+/// }
+/// ```
+///
+/// ```compile_fail,E0063
+/// # mod doubled {
+/// #     decouplegs_gpu::shader! {
+/// #         "doubled", &[];
+/// #         entry_point: "main";
+/// #         workgroup: [(64, None), (1, None), (1, None)];
+/// #         capabilities: [1];
+/// #         bindings {
+/// #             0 values: f32, Read, None;
+/// #             1 doubles: [f32; 2], Write, None;
+/// #         }
+/// #         push 0 {
+/// #         }
+/// #         constants {
+/// #         }
+/// #     }
+/// # }
+/// # use decouplegs_gpu::Buffer;
+/// fn bind<'a>(values: &'a Buffer<f32>, doubles: &'a Buffer<[f32; 2]>) -> doubled::Bindings<'a> {
+///     doubled::Bindings { values: values.bound() }
+/// }
+/// ```
 #[macro_export]
 macro_rules! shader {
     (
@@ -129,6 +200,28 @@ pub const fn member_bytes<R, T>(_member: fn(&R) -> &T) -> usize {
 
 /// Refuses to compile a structure that differs from the shaders': in its size, or in the offset or
 /// size of a member.
+///
+/// ```
+/// # #[repr(C)]
+/// # struct Cluster { center_m: [f32; 3], radius_m: f32 }
+/// decouplegs_gpu::same_layout! {
+///     Cluster, 16 {
+///         0 center_m: [f32; 3];
+///         12 radius_m: f32;
+///     }
+/// }
+/// ```
+///
+/// ```compile_fail,E0080
+/// # #[repr(C)]
+/// # struct Cluster { radius_m: f32, center_m: [f32; 3] }
+/// decouplegs_gpu::same_layout! {
+///     Cluster, 16 {
+///         0 center_m: [f32; 3];
+///         12 radius_m: f32;
+///     }
+/// }
+/// ```
 #[macro_export]
 macro_rules! same_layout {
     ($record:ident, $bytes:literal { $($offset:literal $member:ident: $type:ty;)* }) => {

@@ -100,30 +100,44 @@ impl Interface {
         })
     }
 
-    /// Difference of the buffers and push constants of `other` from those of `self`, if there is
-    /// one. Access may differ.
+    /// Difference of the buffers, push constants and constants of `other` from those of `self`, if
+    /// there is one. Access may differ, and `other` may have other constants, but not of the same
+    /// name and another type.
     #[must_use]
     pub fn fault(&self, other: &Self) -> Option<String> {
-        let buffers = |interface: &Self| {
-            let of = |found: &Binding| match found.uniform_bytes {
-                None => format!("{} {}: {}", found.number, found.name, found.holds),
-                Some(bytes) => format!(
-                    "{} {}: {bytes} bytes of {} (uniform)",
-                    found.number, found.name, found.holds
-                ),
+        let differs = |what, expected: &[String], found: &[String]| {
+            (expected != found).then(|| format!("expected {what} {expected:?}, found {found:?}"))
+        };
+        let constant = || {
+            let mut constants = self.constants.iter();
+            let (own, found) = constants.find_map(|own| {
+                let mut others = other.constants.iter();
+                let same_name = others.find(|found| found.name == own.name)?;
+                (same_name.kind != own.kind).then_some((own, same_name))
+            })?;
+            Some(format!(
+                "expected constant {} to be {:?}, found {:?}",
+                own.name, own.kind, found.kind
+            ))
+        };
+        differs("buffers", &self.buffer_texts(), &other.buffer_texts())
+            .or_else(|| differs("push constants", &self.push_texts(), &other.push_texts()))
+            .or_else(constant)
+    }
+
+    fn buffer_texts(&self) -> Vec<String> {
+        let text = |found: &Binding| {
+            let uniform = match found.uniform_bytes {
+                None => String::new(),
+                Some(bytes) => format!(" ({bytes} bytes, uniform)"),
             };
-            interface.bindings.iter().map(of).collect::<Vec<_>>()
+            format!("{} {}: {}{uniform}", found.number, found.name, found.holds)
         };
-        let push = |interface: &Self| {
-            let of = |found: &Member| format!("{} {}: {}", found.offset, found.name, found.holds);
-            interface.push.iter().map(of).collect::<Vec<_>>()
-        };
-        [
-            ("buffers", buffers(self), buffers(other)),
-            ("push constants", push(self), push(other)),
-        ]
-        .into_iter()
-        .find(|(_, expected, found)| expected != found)
-        .map(|(what, expected, found)| format!("expected {what} {expected:?}, found {found:?}"))
+        self.bindings.iter().map(text).collect()
+    }
+
+    fn push_texts(&self) -> Vec<String> {
+        let text = |found: &Member| format!("{} {}: {}", found.offset, found.name, found.holds);
+        self.push.iter().map(text).collect()
     }
 }

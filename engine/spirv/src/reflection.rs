@@ -364,9 +364,19 @@ mod tests {
         assert!(fault.contains("3 thing: Item"), "{fault}");
         assert!(change(|other| other.bindings.to_mut()[1].number = 7).contains("7 item"));
         let fault = change(|other| other.bindings.to_mut()[1].uniform_bytes = Some(24));
-        assert!(fault.contains("24 bytes of Item (uniform)"), "{fault}");
+        assert!(fault.contains("item: Item (24 bytes, uniform)"), "{fault}");
         let fault = change(|other| other.push.to_mut()[1].offset = 16);
         assert!(fault.starts_with("expected push constants"), "{fault}");
+        let mut scale =
+            reflect(&words(include_bytes!("../../gpu/tests/kernels/scale.spv"))).unwrap();
+        let whole = scale.clone();
+        scale.constants.to_mut().remove(2);
+        assert_eq!(whole.fault(&scale), None);
+        scale.constants.to_mut()[1].kind = Kind::F32;
+        assert_eq!(
+            whole.fault(&scale).unwrap(),
+            "expected constant FACTOR to be U32, found F32"
+        );
     }
 
     #[test]
@@ -409,6 +419,18 @@ mod tests {
             ),
             ("local_size_x", 0)
         );
+    }
+
+    #[test]
+    fn other_things_than_buffers_and_other_files_are_refused() {
+        let texture = words(include_bytes!("../../gpu/tests/kernels/texture.spv"));
+        let error = reflect(&texture).unwrap_err();
+        assert!(
+            error.contains("is neither a storage nor a uniform buffer"),
+            "{error}"
+        );
+        let error = reflect(&[1, 2, 3]).unwrap_err();
+        assert!(error.contains("not a SPIR-V module"), "{error}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use decouplegs_spirv::{Interface, Kind, reflect};
+use decouplegs_spirv::reflect;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::{Constant, Kernel, KernelCore};
@@ -21,8 +21,8 @@ struct Key {
     name: &'static str,
     /// Hash of the SPIR-V.
     spirv: u128,
-    /// Names of constants, their types and bits.
-    constants: Vec<(String, Kind, u32)>,
+    /// Bits of the constants, by id.
+    constants: Vec<u32>,
 }
 
 impl Kernels {
@@ -37,90 +37,44 @@ impl Kernels {
     ///
     /// # Errors
     /// Returns the errors of [`crate::Gpu::typed_kernel`].
-    pub(crate) fn find_or_build_typed<S: Shader>(
+    pub(crate) fn find_or_build<S: Shader>(
         &self,
         context: &Arc<Context>,
         constants: &S::Constants,
     ) -> Result<Kernel<S>, GpuError> {
-        let interface = S::INTERFACE;
         let values = S::values(constants);
-        let constants: Vec<(&str, Constant)> = (interface.constants.iter())
-            .zip(values.as_ref())
-            .map(|(declared, value)| (declared.name.as_ref(), *value))
-            .collect();
-        let core = self.core(S::NAME, S::spirv(), &constants, || {
-            build(context, S::NAME, S::spirv(), &interface, &constants)
-        })?;
-        Ok(Kernel::from_core(core))
-    }
-
-    /// The kernel of equal name, module and constants; a new one if there is none.
-    ///
-    /// # Errors
-    /// Returns the errors of [`crate::Gpu::kernel`].
-    pub(crate) fn find_or_build(
-        &self,
-        context: &Arc<Context>,
-        name: &'static str,
-        spirv: &[u32],
-        constants: &[(&str, Constant)],
-    ) -> Result<Kernel, GpuError> {
-        let core = self.core(name, spirv, constants, || {
-            let interface = reflect(spirv).map_err(|reason| GpuError::Kernel {
-                kernel: name,
-                reason,
-            })?;
-            build(context, name, spirv, &interface, constants)
-        })?;
-        Ok(Kernel::from_core(core))
-    }
-
-    /// The kernel of equal name, module and constants; what `build` makes if there is none.
-    fn core(
-        &self,
-        name: &'static str,
-        spirv: &[u32],
-        constants: &[(&str, Constant)],
-        build: impl FnOnce() -> Result<KernelCore, GpuError>,
-    ) -> Result<Arc<KernelCore>, GpuError> {
         let key = Key {
-            name,
-            spirv: xxh3_128(bytemuck::cast_slice(spirv)),
-            constants: constants
-                .iter()
-                .map(|&(name, constant)| (name.to_owned(), constant.kind(), constant.bits()))
-                .collect(),
+            name: S::NAME,
+            spirv: xxh3_128(bytemuck::cast_slice(S::spirv())),
+            constants: values.as_ref().iter().map(|value| value.bits()).collect(),
         };
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut kernels = lock();
         if let Some(index) = kernels.iter().position(|(found, _)| *found == key) {
             kernels[index..].rotate_left(1);
-            return Ok(kernels[kernels.len() - 1].1.clone());
+            return Ok(Kernel::from_core(kernels[kernels.len() - 1].1.clone()));
         }
         // Others may build meanwhile: drivers take up to seconds. A kernel that two build at once
         // is there twice.
         drop(kernels);
-        let core = Arc::new(build()?);
+        let core = Arc::new(build::<S>(context, values.as_ref())?);
         let mut kernels = lock();
         if kernels.len() >= KEPT_MAX {
             kernels.remove(0);
         }
         kernels.push((key, core.clone()));
-        Ok(core)
+        Ok(Kernel::from_core(core))
     }
 }
 
-/// Builds a kernel, or the one that replaces it on trial.
-fn build(
-    context: &Arc<Context>,
-    name: &'static str,
-    spirv: &[u32],
-    interface: &Interface,
-    constants: &[(&str, Constant)],
-) -> Result<KernelCore, GpuError> {
-    let mut constants = context.trial.constants(name, constants)?;
+/// Builds the kernel of the shader `S`, or the one that replaces it on trial.
+fn build<S: Shader>(context: &Arc<Context>, values: &[Constant]) -> Result<KernelCore, GpuError> {
+    let (name, interface) = (S::NAME, S::INTERFACE);
+    let names = interface.constants.iter().map(|declared| &*declared.name);
+    let constants: Vec<(&str, Constant)> = names.zip(values.iter().copied()).collect();
+    let mut constants = context.trial.constants(name, &constants)?;
     let Some(spirv) = context.trial.spirv(name) else {
-        return KernelCore::new(context, name, spirv, interface.clone(), &constants);
+        return KernelCore::new(context, name, S::spirv(), interface.clone(), &constants);
     };
     let refuse = |reason| GpuError::Trial {
         path: format!("{name}.spv").into(),
@@ -128,9 +82,7 @@ fn build(
     };
     let replacing = reflect(spirv).map_err(refuse)?;
     if let Some(fault) = interface.fault(&replacing) {
-        return Err(refuse(format!(
-            "does not take what the program gives {name}: {fault}"
-        )));
+        return Err(refuse(fault));
     }
     // A kernel on trial may do without a constant of the program's.
     let has = |name: &str| (replacing.constants.iter()).any(|declared| declared.name == name);
