@@ -283,7 +283,7 @@ impl Gpu {
     /// Returns an error if the device lacks a feature that the shader uses, its workgroup is too
     /// large for the device, the driver cannot build it, or a kernel on trial that replaces it
     /// ([`DeviceOptions::trial`]) takes other buffers or push constants.
-    pub fn typed_kernel<S: Shader>(&self, constants: &S::Constants) -> Result<Kernel<S>, GpuError> {
+    pub fn kernel<S: Shader>(&self, constants: &S::Constants) -> Result<Kernel<S>, GpuError> {
         let kernels = &self.0.kernels;
         kernels.find_or_build(&self.0.context, constants)
     }

@@ -373,7 +373,7 @@ mod tests {
     #[test]
     fn a_look_at_running_work_tells_the_stages_that_are_done() {
         let gpu = Gpu::open(&DeviceOptions::default()).unwrap();
-        let spin: Kernel<spin::Module> = gpu.typed_kernel(&spin::Constants {}).unwrap();
+        let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
         let values = gpu.upload("values", "test", &vec![1_u32; 1 << 15]).unwrap();
         let mut recorder = gpu.record(QueueRole::Main).time_stages();
         for (name, rounds) in [("short", 1_u32), ("long", 50_000)] {
@@ -385,7 +385,7 @@ mod tests {
                 let bindings = spin::Bindings {
                     values: values.bound(),
                 };
-                recorder.dispatch_typed(&spin, bindings, push, [512, 1, 1]);
+                recorder.dispatch(&spin, bindings, push, [512, 1, 1]);
             });
         }
         let ticket = gpu.submit(recorder, &[]).unwrap();

@@ -76,7 +76,7 @@ impl Recorder {
     /// # Panics
     /// Panics if there are more workgroups than the device's limit, or a uniform buffer is shorter
     /// than the kernel's.
-    pub fn dispatch_typed<S: Shader>(
+    pub fn dispatch<S: Shader>(
         &mut self,
         kernel: &Kernel<S>,
         bindings: S::Bindings<'_>,
@@ -94,13 +94,13 @@ impl Recorder {
         self.list.add(Command::Dispatch(groups));
     }
 
-    /// Like [`Recorder::dispatch_typed`], with the number of workgroups read on the device: three
+    /// Like [`Recorder::dispatch`], with the number of workgroups read on the device: three
     /// `u32` at `byte_offset` of `arguments`. The writer keeps them within `dispatch_groups_max`.
     ///
     /// # Panics
-    /// Panics as [`Recorder::dispatch_typed`] does, and if the offset is not a multiple of 4 or
+    /// Panics as [`Recorder::dispatch`] does, and if the offset is not a multiple of 4 or
     /// reaches outside the buffer.
-    pub fn dispatch_typed_indirect<S: Shader, T>(
+    pub fn dispatch_indirect<S: Shader, T>(
         &mut self,
         kernel: &Kernel<S>,
         bindings: S::Bindings<'_>,

@@ -36,7 +36,7 @@ impl Kernels {
     /// The kernel of the shader `S` with equal constants; a new one if there is none.
     ///
     /// # Errors
-    /// Returns the errors of [`crate::Gpu::typed_kernel`].
+    /// Returns the errors of [`crate::Gpu::kernel`].
     pub(crate) fn find_or_build<S: Shader>(
         &self,
         context: &Arc<Context>,

@@ -21,7 +21,7 @@ fn constants_are_members() {
         negate: true,
         unused_scale: 1.0,
     };
-    let kernel: Kernel<scale::Module> = gpu.typed_kernel(&constants).unwrap();
+    let kernel: Kernel<scale::Module> = gpu.kernel(&constants).unwrap();
     assert_eq!(kernel.workgroup_size(), [32, 1, 1]);
     println!(
         "subgroups pinned to {}: {}",
@@ -34,7 +34,7 @@ fn constants_are_members() {
         .unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     let bindings = from_to(&from, &to);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &kernel,
         bindings,
         scale::Push {
@@ -52,7 +52,7 @@ fn constants_are_members() {
 fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
     let gpu = Watched::open();
     let source: Vec<i32> = (0..1000).collect();
-    let arguments: Kernel<arguments::Module> = gpu.typed_kernel(&arguments::Constants {}).unwrap();
+    let arguments: Kernel<arguments::Module> = gpu.kernel(&arguments::Constants {}).unwrap();
     let kernel = scaling(&gpu, 2);
     let from = gpu.upload("source", "test", &source).unwrap();
     let to = gpu
@@ -68,9 +68,9 @@ fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
         group_size: 64,
         first_word: 4,
     };
-    recorder.dispatch_typed(&arguments, bindings, push, [1, 1, 1]);
+    recorder.dispatch(&arguments, bindings, push, [1, 1, 1]);
     let bindings = from_to(&from, &to);
-    recorder.dispatch_typed_indirect(
+    recorder.dispatch_indirect(
         &kernel,
         bindings,
         scale::Push {
@@ -94,7 +94,7 @@ fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
 fn a_workgroup_that_is_too_large_is_refused() {
     let gpu = Watched::open();
     let max = gpu.limits().workgroup_threads_max;
-    let built: Result<Kernel<scale::Module>, GpuError> = gpu.typed_kernel(&scale::Constants {
+    let built: Result<Kernel<scale::Module>, GpuError> = gpu.kernel(&scale::Constants {
         group_size: max + 1,
         ..constants(2)
     });
@@ -127,12 +127,12 @@ fn a_kernel_on_trial_takes_what_the_program_gives() {
             ..DeviceOptions::default()
         };
         let gpu = Gpu::open(&options).unwrap();
-        let kernel: Kernel<scale::Module> = gpu.typed_kernel(&constants(2))?;
+        let kernel: Kernel<scale::Module> = gpu.kernel(&constants(2))?;
         let values = gpu.upload("values", "test", &[1_i32; 64]).unwrap();
         let to = gpu.upload("target", "test", &[0_i32; 64]).unwrap();
         let mut recorder = gpu.record(QueueRole::Main);
         let push = scale::Push { count: 64, add: 5 };
-        recorder.dispatch_typed(&kernel, from_to(&values, &to), push, [1, 1, 1]);
+        recorder.dispatch(&kernel, from_to(&values, &to), push, [1, 1, 1]);
         gpu.submit(recorder, &[]).unwrap();
         Ok::<i32, GpuError>(gpu.read(&to).unwrap()[63])
     };
@@ -157,7 +157,7 @@ fn a_kernel_on_trial_takes_what_the_program_gives() {
 #[test]
 fn uniform_buffers_are_read_behind_their_writer() {
     let gpu = Watched::open();
-    let kernel: Kernel<table::Module> = gpu.typed_kernel(&table::Constants {}).unwrap();
+    let kernel: Kernel<table::Module> = gpu.kernel(&table::Constants {}).unwrap();
     let table: Vec<i32> = (1..=20).collect();
     let table = gpu.upload("table", "test", &table).unwrap();
     let values = gpu.upload("values", "test", &[0_i32; 64]).unwrap();
@@ -167,7 +167,7 @@ fn uniform_buffers_are_read_behind_their_writer() {
     };
     let fill_and_read = |mut recorder: Recorder| {
         recorder.fill(&table, 0, 4, 7);
-        recorder.dispatch_typed(&kernel, bindings(), table::Push {}, [1, 1, 1]);
+        recorder.dispatch(&kernel, bindings(), table::Push {}, [1, 1, 1]);
         gpu.submit(recorder, &[]).unwrap().wait().unwrap();
         gpu.take_validation_messages()
     };
@@ -186,7 +186,7 @@ fn uniform_buffers_are_read_behind_their_writer() {
 #[should_panic(expected = "buffer table of 16 bytes, the shader reads 64 of 'table'")]
 fn a_uniform_buffer_that_is_too_short_asserts() {
     let gpu = Watched::open();
-    let kernel: Kernel<table::Module> = gpu.typed_kernel(&table::Constants {}).unwrap();
+    let kernel: Kernel<table::Module> = gpu.kernel(&table::Constants {}).unwrap();
     let table = gpu.upload("table", "test", &[1; 4]).unwrap();
     let values = gpu.upload("values", "test", &[0_i32; 64]).unwrap();
     let bindings = || table::Bindings {
@@ -194,7 +194,7 @@ fn a_uniform_buffer_that_is_too_short_asserts() {
         values: values.bound(),
     };
     gpu.record(QueueRole::Main)
-        .dispatch_typed(&kernel, bindings(), table::Push {}, [1, 1, 1]);
+        .dispatch(&kernel, bindings(), table::Push {}, [1, 1, 1]);
 }
 
 #[test]
@@ -205,7 +205,7 @@ fn too_many_workgroups_assert() {
     let push = scale::Push { count: 64, add: 0 };
     let mut recorder = gpu.record(QueueRole::Main);
     let bindings = from_to(&values, &values);
-    recorder.dispatch_typed(&scaling(&gpu, 2), bindings, push, [1, u32::MAX, 1]);
+    recorder.dispatch(&scaling(&gpu, 2), bindings, push, [1, u32::MAX, 1]);
 }
 
 #[test]

@@ -71,7 +71,7 @@ fn spirv(name: &str) -> &'static [u32] {
 
 /// `target = source * factor + add`, in groups of 64.
 fn scaling(gpu: &Gpu, factor: u32) -> Kernel<scale::Module> {
-    gpu.typed_kernel(&constants(factor)).unwrap()
+    gpu.kernel(&constants(factor)).unwrap()
 }
 
 /// Constants of `scale` for a factor.

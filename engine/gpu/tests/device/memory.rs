@@ -36,7 +36,7 @@ fn a_buffer_of_nothing_can_be_bound_copied_and_read() {
     let target = gpu.upload("target", "test", &[5_i32; 4]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     let bindings = from_to(&nothing, &target);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &scaling(&gpu, 2),
         bindings,
         scale::Push { count: 0, add: 0 },
@@ -77,7 +77,7 @@ fn mapped_buffers_are_written_and_read_by_the_host() {
     upload.write_host(50, &[4; 50]);
     let mut recorder = gpu.record(QueueRole::Main);
     let bindings = from_to(&upload, &readback);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &scaling(&gpu, 10),
         bindings,
         scale::Push { count: 100, add: 1 },
@@ -132,7 +132,7 @@ fn memory_is_counted_by_purpose_until_the_last_use_is_over() {
 
     let mut recorder = gpu.record(QueueRole::Main);
     let bindings = from_to(&splats, &image);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &scaling(&gpu, 2),
         bindings,
         scale::Push { count: 500, add: 0 },

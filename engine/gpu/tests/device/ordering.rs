@@ -20,7 +20,7 @@ fn there_and_back(
 ) {
     for (from, to) in [(a, b), (b, a)] {
         let bindings = from_to(from, to);
-        recorder.dispatch_typed(
+        recorder.dispatch(
             kernel,
             bindings,
             scale::Push {
@@ -112,13 +112,13 @@ fn tickets_order_the_queues() {
 #[test]
 fn submitted_work_keeps_what_it_uses() {
     let gpu = Watched::open();
-    let spin: Kernel<spin::Module> = gpu.typed_kernel(&spin::Constants {}).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let readback = gpu
         .buffer::<u32>("readback", "test", 64, MemoryKind::Readback)
         .unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &spin,
         spin::Bindings {
             values: values.bound(),
@@ -148,10 +148,10 @@ fn loops_run_to_their_end_but_on_llvmpipe() {
     } else {
         rounds
     };
-    let spin: Kernel<spin::Module> = gpu.typed_kernel(&spin::Constants {}).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &spin,
         spin::Bindings {
             values: values.bound(),
@@ -173,14 +173,14 @@ fn spun(rounds: u32) -> u32 {
 #[test]
 fn stages_are_timed_in_order_and_do_not_overlap() {
     let gpu = Watched::open();
-    let spin: Kernel<spin::Module> = gpu.typed_kernel(&spin::Constants {}).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 1024]).unwrap();
     // The same slot serves all three, so stale times would show.
     for _ in 0..3 {
         let mut recorder = gpu.record(QueueRole::Main).time_stages();
         for (name, rounds) in [("short", 10), ("long", 50_000), ("last", 10)] {
             recorder.stage(name, |recorder| {
-                recorder.dispatch_typed(
+                recorder.dispatch(
                     &spin,
                     spin::Bindings {
                         values: values.bound(),
@@ -259,7 +259,7 @@ fn a_command_buffer_serves_equal_commands_alone() {
     let run = |kernel: &Kernel<scale::Module>, bindings, add: i32, groups: u32| {
         let push = scale::Push { count: COUNT, add };
         repeats(&gpu, |r| {
-            r.dispatch_typed(kernel, bindings, push, [groups, 1, 1]);
+            r.dispatch(kernel, bindings, push, [groups, 1, 1]);
         })
     };
     let indirect = |byte_offset: u64| {
@@ -268,7 +268,7 @@ fn a_command_buffer_serves_equal_commands_alone() {
             add: 1,
         };
         repeats(&gpu, |r| {
-            r.dispatch_typed_indirect(&kernel, from_to(&a, &b), push, &arguments, byte_offset);
+            r.dispatch_indirect(&kernel, from_to(&a, &b), push, &arguments, byte_offset);
         })
     };
     let copied =
@@ -368,10 +368,10 @@ fn threads_may_record_and_submit_at_the_same_time() {
 #[test]
 fn dropping_the_device_waits_for_its_work() {
     let gpu = Watched::open();
-    let spin: Kernel<spin::Module> = gpu.typed_kernel(&spin::Constants {}).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 4096]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch_typed(
+    recorder.dispatch(
         &spin,
         spin::Bindings {
             values: values.bound(),

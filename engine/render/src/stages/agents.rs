@@ -114,7 +114,7 @@ impl CullAgents {
             least_response_squares,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -141,7 +141,7 @@ impl CullAgents {
             visible_counts: buffers.visible.counts.bound(),
             lenses: buffers.lenses.bound(),
         };
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups_for(counts.clusters));
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(counts.clusters));
     }
 }
 
@@ -193,7 +193,7 @@ impl ProjectAgents {
             scene_flow: writes(Plane::SceneFlow),
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -244,6 +244,6 @@ impl ProjectAgents {
             keys: projected.keys.bound(),
             lenses: buffers.lenses.bound(),
         };
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups_for(counts.clusters));
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(counts.clusters));
     }
 }

@@ -70,7 +70,7 @@ impl Begin {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -140,7 +140,7 @@ impl Begin {
             .sum();
         let threads = 256 * WORDS_PER_THREAD;
         let groups = all_words.div_ceil(threads).clamp(1, GROUPS_MAX) as u32;
-        recorder.dispatch_typed(&self.kernel, bindings, push, [groups, 1, 1]);
+        recorder.dispatch(&self.kernel, bindings, push, [groups, 1, 1]);
     }
 }
 

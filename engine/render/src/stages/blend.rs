@@ -206,7 +206,7 @@ impl Blend {
             least_response_squares,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
             pass,
         })
     }
@@ -259,7 +259,7 @@ impl Blend {
             partial_tiles: partials.tiles.bound(),
             contributions: images.contributions.bound(),
         };
-        recorder.dispatch_typed_indirect(
+        recorder.dispatch_indirect(
             &self.kernel,
             bindings,
             push,

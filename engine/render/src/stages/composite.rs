@@ -35,7 +35,7 @@ impl CompositeSegments {
             contributions: outputs.contributions,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -76,6 +76,6 @@ impl CompositeSegments {
             depths: projected.depths.bound(),
         };
         let offset = IndirectArguments::Composite.byte_offset();
-        recorder.dispatch_typed_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }

@@ -67,7 +67,7 @@ impl Cull {
             least_response_squares,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
             pitch_px,
         })
     }
@@ -100,7 +100,7 @@ impl Cull {
             visible_counts: visible.counts.bound(),
             lenses: views.lenses.bound(),
         };
-        recorder.dispatch_typed(
+        recorder.dispatch(
             &self.kernel,
             bindings,
             push,

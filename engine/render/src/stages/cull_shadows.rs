@@ -52,7 +52,7 @@ impl CullShadows {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -75,7 +75,7 @@ impl CullShadows {
             shadow_words: buffers.words.bound(),
         };
         let threads = clusters * words_for(shadow_count);
-        recorder.dispatch_typed(
+        recorder.dispatch(
             &self.kernel,
             bindings,
             push,

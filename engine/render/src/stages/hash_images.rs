@@ -66,7 +66,7 @@ impl HashImages {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -85,6 +85,6 @@ impl HashImages {
             sums: to.sums.bound().cast(),
         };
         let groups = groups_for((units * LANES).div_ceil(THREADS));
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups);
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }

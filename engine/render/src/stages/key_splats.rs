@@ -37,7 +37,7 @@ impl KeySplats {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -61,7 +61,7 @@ impl KeySplats {
             means_m: gpu_scene.means.bound(),
             kept_keys: keys.bound(),
         };
-        recorder.dispatch_typed(
+        recorder.dispatch(
             &self.kernel,
             bindings,
             push,

@@ -97,8 +97,8 @@ impl MergeLists {
     /// [`GpuError`]: the driver refuses a kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            plan: gpu.typed_kernel(&plan_merges::Constants {})?,
-            merge: gpu.typed_kernel(&merge_lists::Constants {})?,
+            plan: gpu.kernel(&plan_merges::Constants {})?,
+            merge: gpu.kernel(&merge_lists::Constants {})?,
         })
     }
 
@@ -130,7 +130,7 @@ impl MergeLists {
             drawn_alone: drawn.tiles.bound(),
         };
         let groups = [moving.count.div_ceil(256), 1, 1];
-        recorder.dispatch_typed(&self.plan, bindings, push, groups);
+        recorder.dispatch(&self.plan, bindings, push, groups);
     }
 
     /// Merges the lists that were planned, whose records are `projected`; `moving` holds those of
@@ -157,6 +157,6 @@ impl MergeLists {
             sorted_records: buffers.sorted_records.bound(),
         };
         let offset = IndirectArguments::Merge.byte_offset();
-        recorder.dispatch_typed_indirect(&self.merge, bindings, push, &counters.arguments, offset);
+        recorder.dispatch_indirect(&self.merge, bindings, push, &counters.arguments, offset);
     }
 }

@@ -56,7 +56,7 @@ impl PlanSegments {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, segment_pairs: u32) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants { segment_pairs })?,
+            kernel: gpu.kernel(&Constants { segment_pairs })?,
             segment_pairs,
         })
     }
@@ -85,7 +85,7 @@ impl PlanSegments {
             arguments: counters.arguments.bound(),
         };
         let waves = waves_for(capacity.pairs.div_ceil(self.segment_pairs as usize));
-        recorder.dispatch_typed(
+        recorder.dispatch(
             &self.kernel,
             bindings,
             push,

@@ -39,7 +39,7 @@ impl PostProcess {
     /// Returns an error if the driver refuses a kernel.
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, GpuError> {
         let built = |sky: bool, lens: bool| {
-            gpu.typed_kernel(&Constants {
+            gpu.kernel(&Constants {
                 color_u8: outputs.color == ColorFormat::U8,
                 sky,
                 lens,
@@ -98,7 +98,7 @@ impl PostProcess {
                 images_u8: images.images_u8.bound(),
             };
             let groups = groups_for(view.pixels.div_ceil(256));
-            recorder.dispatch_typed(kernel, bindings, push, groups);
+            recorder.dispatch(kernel, bindings, push, groups);
         }
     }
 }

@@ -159,7 +159,7 @@ impl Project {
             scene_flow: writes(Plane::SceneFlow),
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -212,7 +212,7 @@ impl Project {
             shadow_words: shadows.words.bound(),
             lenses: views.lenses.bound(),
         };
-        recorder.dispatch_typed(
+        recorder.dispatch(
             &self.kernel,
             bindings,
             push,

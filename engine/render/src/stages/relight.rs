@@ -56,7 +56,7 @@ impl Relight {
     pub fn new(gpu: &Gpu, sh_degree: u8) -> Result<Self, GpuError> {
         let sh_degree = u32::from(sh_degree);
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants { sh_degree })?,
+            kernel: gpu.kernel(&Constants { sh_degree })?,
         })
     }
 
@@ -78,6 +78,6 @@ impl Relight {
             relit_dc: relit.dc.bound(),
             relit_bands: relit.bands.bound().cast(),
         };
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups_for(work.groups));
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(work.groups));
     }
 }

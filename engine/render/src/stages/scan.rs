@@ -18,7 +18,7 @@ impl Scan {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -39,6 +39,6 @@ impl Scan {
             count: count as u32,
         };
         let groups = groups_for(count.div_ceil(SCAN_BLOCK).max(1));
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups);
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }

@@ -255,7 +255,7 @@ impl ProjectLidar {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
         let build = |write| {
-            gpu.typed_kernel(&project_lidar::Constants {
+            gpu.kernel(&project_lidar::Constants {
                 antialias: rules.antialias,
                 write,
                 instances: variant.instances,
@@ -309,7 +309,7 @@ impl ProjectLidar {
             LidarPass::Write => &self.write,
         };
         let groups = groups_for(gpu_scene.finest_clusters);
-        recorder.dispatch_typed(kernel, bindings, push, groups);
+        recorder.dispatch(kernel, bindings, push, groups);
     }
 }
 
@@ -339,7 +339,7 @@ impl ProjectLidarAgents {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
         let build = |write| {
-            gpu.typed_kernel(&project_lidar_agents::Constants {
+            gpu.kernel(&project_lidar_agents::Constants {
                 antialias: rules.antialias,
                 write,
                 dilation_rad: variant.dilation_rad,
@@ -397,6 +397,6 @@ impl ProjectLidarAgents {
             LidarPass::Mark => &self.mark,
             LidarPass::Write => &self.write,
         };
-        recorder.dispatch_typed(kernel, bindings, push, groups_for(counts.clusters));
+        recorder.dispatch(kernel, bindings, push, groups_for(counts.clusters));
     }
 }

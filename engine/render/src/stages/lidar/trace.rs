@@ -43,7 +43,7 @@ impl ListLidar {
             lanes: gpu.limits().subgroup_size,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -66,7 +66,7 @@ impl ListLidar {
             required: buffers.counters.required.bound(),
         };
         let groups = groups_for(sectors.bins as usize * LIST_GROUPS);
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups);
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }
 
@@ -90,7 +90,7 @@ impl TraceLidar {
             echoes: variant.echoes,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
             beam_lanes: variant.beam_lanes as usize,
         })
     }
@@ -129,6 +129,6 @@ impl TraceLidar {
             required: buffers.counters.required.bound(),
         };
         let groups = groups_for(sectors.bins as usize * FINE_TILES * self.beam_lanes);
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups);
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }

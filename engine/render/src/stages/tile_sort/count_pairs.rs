@@ -25,7 +25,7 @@ impl CountPairs {
             least_response_squares,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -52,6 +52,6 @@ impl CountPairs {
             large_records: buffers.large_records.bound(),
         };
         let offset = IndirectArguments::PairBlocks.byte_offset();
-        recorder.dispatch_typed_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }

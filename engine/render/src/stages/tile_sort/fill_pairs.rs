@@ -25,7 +25,7 @@ impl FillPairs {
             least_response_squares,
         };
         Ok(Self {
-            kernel: gpu.typed_kernel(&constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -54,6 +54,6 @@ impl FillPairs {
             pairs: buffers.pairs.bound(),
         };
         let offset = IndirectArguments::Fill.byte_offset();
-        recorder.dispatch_typed_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }

@@ -20,7 +20,7 @@ impl PlanBuckets {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -46,6 +46,6 @@ impl PlanBuckets {
             buckets: buffers.buckets.bound(),
             arguments: counters.arguments.bound(),
         };
-        recorder.dispatch_typed(&self.kernel, bindings, push, groups_for(bins as usize));
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(bins as usize));
     }
 }

@@ -18,7 +18,7 @@ impl PlanLists {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {})?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -44,6 +44,6 @@ impl PlanLists {
             required: counters.required.bound(),
             arguments: counters.arguments.bound(),
         };
-        recorder.dispatch_typed(&self.kernel, bindings, push, [1, 1, 1]);
+        recorder.dispatch(&self.kernel, bindings, push, [1, 1, 1]);
     }
 }

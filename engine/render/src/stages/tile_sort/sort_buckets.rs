@@ -18,7 +18,7 @@ impl SortBuckets {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants { radial })?,
+            kernel: gpu.kernel(&Constants { radial })?,
         })
     }
 
@@ -44,6 +44,6 @@ impl SortBuckets {
             slab_ends: buffers.slab_counts.bound(),
         };
         let offset = IndirectArguments::Sort.byte_offset();
-        recorder.dispatch_typed_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }

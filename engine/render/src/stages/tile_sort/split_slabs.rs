@@ -23,7 +23,7 @@ impl SplitSlabs {
         // A power of two. Devices have 128 at least.
         let workgroup_threads = 1 << gpu.limits().workgroup_threads_max.min(SLAB_BINS).ilog2();
         Ok(Self {
-            kernel: gpu.typed_kernel(&Constants {
+            kernel: gpu.kernel(&Constants {
                 radial,
                 workgroup_threads,
             })?,
@@ -52,6 +52,6 @@ impl SplitSlabs {
             cameras: records.cameras.bound(),
         };
         let offset = IndirectArguments::Split.byte_offset();
-        recorder.dispatch_typed_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }
