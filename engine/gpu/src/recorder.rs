@@ -52,12 +52,12 @@ impl Recorder {
         self
     }
 
-    /// Records `body` as a stage: labeled in debuggers, timed where that is asked for, and then
-    /// named when the device is lost.
+    /// Records `body` as a stage, and returns what it returns. The stage is labeled in debuggers,
+    /// timed where that is asked for, and then named when the device is lost.
     ///
     /// # Panics
     /// For a stage inside a stage, and for more than 127 stages.
-    pub fn stage(&mut self, name: &'static str, body: impl FnOnce(&mut Self)) {
+    pub fn stage<T>(&mut self, name: &'static str, body: impl FnOnce(&mut Self) -> T) -> T {
         assert!(!self.in_stage, "stage {name}: stages do not nest");
         assert!(
             self.stages < STAGES_MAX,
@@ -66,9 +66,10 @@ impl Recorder {
         self.stages += 1;
         self.in_stage = true;
         self.list.add(Command::BeginStage(name));
-        body(self);
+        let result = body(self);
         self.list.add(Command::EndStage);
         self.in_stage = false;
+        result
     }
 
     /// Runs `groups` workgroups of `kernel` on `bindings`, with the push constants `push`.

@@ -118,14 +118,14 @@ impl CullAgents {
         })
     }
 
-    /// Marks what is visible of the agents.
-    pub fn record(
+    /// Marks what is visible of the agents, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         pool: &PoolBuffers,
-        buffers: &AgentBuffers,
+        buffers: &'a AgentBuffers,
         counts: AgentCounts,
-    ) {
+    ) -> &'a Visible {
         let push = cull_agents::Push {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
@@ -142,6 +142,7 @@ impl CullAgents {
             lenses: buffers.lenses.bound(),
         };
         recorder.dispatch(&self.kernel, bindings, push, groups_for(counts.clusters));
+        &buffers.visible
     }
 }
 
@@ -198,15 +199,15 @@ impl ProjectAgents {
     }
 
     /// Writes a record for every visible splat of the agents behind those of the background, whose
-    /// `static_lists` lists begin at `static_offsets`, and its depth key.
-    pub fn record(
+    /// `static_lists` lists begin at `static_offsets`, and its depth key. Returns `projected`.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         agents: SeenAgents<'_>,
         static_offsets: &Buffer<u32>,
         static_lists: usize,
-        projected: &Projected,
-    ) {
+        projected: &'a Projected,
+    ) -> &'a Projected {
         let SeenAgents {
             pool,
             buffers,
@@ -245,5 +246,6 @@ impl ProjectAgents {
             lenses: buffers.lenses.bound(),
         };
         recorder.dispatch(&self.kernel, bindings, push, groups_for(counts.clusters));
+        projected
     }
 }

@@ -4,7 +4,7 @@
 use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{FrameCounters, PartialResults};
+use super::{FrameCounters, PartialResults, Views};
 use crate::interfaces::begin::{Bindings, Constants, Module, Push};
 use crate::layout::{CameraRecord, LensRecord, SLABS};
 
@@ -74,8 +74,13 @@ impl Begin {
         })
     }
 
-    /// Copies what the host has `written`, and empties what is `counted`.
-    pub fn record(&self, recorder: &mut Recorder, written: HostWritten<'_>, counted: Counted<'_>) {
+    /// Copies what the host has `written`, and empties what is `counted`. Returns the cameras.
+    pub fn record<'a>(
+        &self,
+        recorder: &mut Recorder,
+        written: HostWritten<'a>,
+        counted: Counted<'_>,
+    ) -> Views<'a> {
         let Counted {
             counters, partials, ..
         } = counted;
@@ -93,6 +98,11 @@ impl Begin {
             medians_unfinished_words: partials.medians_unfinished.len() as u32,
         };
         self.dispatch(recorder, written, counted, push);
+        Views {
+            cameras: written.to.cameras,
+            lenses: written.to.lenses,
+            count: written.cameras,
+        }
     }
 
     /// Empties what a sort counts, for another sort of the same frame.

@@ -211,15 +211,16 @@ impl Blend {
         })
     }
 
-    /// Blends `segments` of the lists of `splats` into the target or partial results.
-    pub fn record(
+    /// Blends `segments` of the lists of `splats` into the target or partial results, and returns
+    /// the segments.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         views: Views<'_>,
         splats: ListedSplats<'_>,
-        segments: Segments<'_>,
+        segments: Segments<'a>,
         target: Target<'_>,
-    ) {
+    ) -> Segments<'a> {
         let ListedSplats { records, projected } = splats;
         let Segments {
             counters,
@@ -266,5 +267,6 @@ impl Blend {
             &counters.arguments,
             IndirectArguments::Blend.byte_offset(),
         );
+        segments
     }
 }

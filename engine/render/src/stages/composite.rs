@@ -39,15 +39,16 @@ impl CompositeSegments {
         })
     }
 
-    /// Joins the results of `segments` of lists of `projected` splats into the target.
-    pub fn record(
+    /// Joins the results of `segments` of lists of `projected` splats into the target. Returns the
+    /// segments, with marks on what is to be finished.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         views: Views<'_>,
         projected: &Projected,
-        segments: Segments<'_>,
+        segments: Segments<'a>,
         target: Target<'_>,
-    ) {
+    ) -> Segments<'a> {
         let Segments {
             counters,
             plan,
@@ -77,5 +78,6 @@ impl CompositeSegments {
         };
         let offset = IndirectArguments::Composite.byte_offset();
         recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
+        segments
     }
 }

@@ -72,14 +72,14 @@ impl Cull {
         })
     }
 
-    /// Marks what `views` see of `gpu_scene`.
-    pub fn record(
+    /// Marks what `views` see of `gpu_scene` in `visible`, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         gpu_scene: &GpuScene,
         views: Views<'_>,
-        visible: &Visible,
-    ) {
+        visible: &'a Visible,
+    ) -> &'a Visible {
         let push = Push {
             splat_count: gpu_scene.splats as u32,
             camera_count: views.count as u32,
@@ -106,5 +106,6 @@ impl Cull {
             push,
             groups_for(gpu_scene.cluster_count()),
         );
+        visible
     }
 }

@@ -2,7 +2,7 @@
 
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{FrameCounters, IndirectArguments, Projected, TileLists, TileSortBuffers};
+use super::{FrameCounters, IndirectArguments, Projected, SortedLists, TileLists, TileSortBuffers};
 use crate::capacity::Capacity;
 use crate::interfaces::{merge_lists, plan_merges};
 use crate::layout::{MERGE_PAIRS, MergePiece, RequiredCounts};
@@ -133,30 +133,34 @@ impl MergeLists {
         recorder.dispatch(&self.plan, bindings, push, groups);
     }
 
-    /// Merges the lists that were planned, whose records are `projected`; `moving` holds those of
-    /// agents.
-    pub fn record(
+    /// Merges the lists of `moving`, those of agents, with kept ones as it was planned, and returns
+    /// what is to be blended. Their records are `projected`.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
-        moving: &TileSortBuffers,
+        moving: SortedLists<'_>,
         projected: &Projected,
-        buffers: &MergeBuffers,
-    ) {
+        buffers: &'a MergeBuffers,
+    ) -> SortedLists<'a> {
         let push = merge_lists::Push {
             pieces_max: buffers.pieces.len() as u32,
         };
         let bindings = merge_lists::Bindings {
             required: counters.required.bound(),
             kept_lists: buffers.kept_lists.bound(),
-            moving_lists: moving.tile_lists.bound(),
+            moving_lists: moving.lists.lists.bound(),
             merged_lists: buffers.merged_lists.bound(),
             pieces: buffers.pieces.bound(),
-            moving_records: moving.sorted_records.bound(),
+            moving_records: moving.records.bound(),
             keys: projected.keys.bound(),
             sorted_records: buffers.sorted_records.bound(),
         };
         let offset = IndirectArguments::Merge.byte_offset();
         recorder.dispatch_indirect(&self.merge, bindings, push, &counters.arguments, offset);
+        SortedLists {
+            lists: buffers.lists_of(moving.lists.count),
+            records: &buffers.sorted_records,
+        }
     }
 }

@@ -3,8 +3,8 @@
 //! kernels: `agents`, `lidar`, `merge_lists` and `tile_sort`. Kernels are built once, buffers once
 //! per capacity, commands every frame.
 //!
-//! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a
-//! named struct of buffers, made beforehand, that the next stage takes.
+//! Each stage takes the buffers that it reads and those that it writes, which are made beforehand,
+//! records its commands, and returns what it wrote: the next stage takes it.
 
 mod agents;
 mod begin;
@@ -41,7 +41,7 @@ pub use lidar::{
     ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar, beam_lanes,
 };
 pub use merge_lists::{DrawnAlone, MergeBuffers, MergeLists};
-pub use plan_segments::{Plan, PlanSegments, TileLists};
+pub use plan_segments::{Plan, PlanSegments, SortedLists, TileLists};
 pub use post_process::{PostProcess, PostProcessInputs};
 pub use project::{Project, ProjectInputs, ProjectVariant, Projected, RecordContents};
 pub use relight::{RELIGHT_BLOCK, Relight, RelightWork, RelitColors};

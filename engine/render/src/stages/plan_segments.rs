@@ -34,6 +34,15 @@ impl Plan {
     }
 }
 
+/// Sorted lists of coarse tiles.
+#[derive(Clone, Copy)]
+pub struct SortedLists<'a> {
+    /// Entries of each.
+    pub lists: TileLists<'a>,
+    /// Records of the entries, front to back in each list.
+    pub records: &'a Buffer<u32>,
+}
+
 /// Lists of coarse tiles.
 #[derive(Clone, Copy)]
 pub struct TileLists<'a> {
@@ -61,15 +70,15 @@ impl PlanSegments {
         })
     }
 
-    /// Writes `plan` for `lists`.
-    pub fn record(
+    /// Writes `plan` for `lists`, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
         lists: TileLists<'_>,
         capacity: &Capacity,
-        plan: &Plan,
-    ) {
+        plan: &'a Plan,
+    ) -> &'a Plan {
         let push = Push {
             bin_count: lists.count,
             pairs_max: capacity.pairs as u32,
@@ -91,6 +100,7 @@ impl PlanSegments {
             push,
             [lists.count.div_ceil(256), waves, 1],
         );
+        plan
     }
 }
 

@@ -163,15 +163,15 @@ impl Project {
         })
     }
 
-    /// Writes a record and a depth key for every visible splat.
-    pub fn record(
+    /// Writes a record and a depth key for every visible splat to `projected`, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         gpu_scene: &GpuScene,
         views: Views<'_>,
         inputs: ProjectInputs<'_>,
-        projected: &Projected,
-    ) {
+        projected: &'a Projected,
+    ) -> &'a Projected {
         let ProjectInputs {
             visible,
             offsets,
@@ -218,5 +218,6 @@ impl Project {
             push,
             groups_for(gpu_scene.cluster_count()),
         );
+        projected
     }
 }

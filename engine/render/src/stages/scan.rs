@@ -23,14 +23,14 @@ impl Scan {
     }
 
     /// Writes the exclusive sums of the first `count` of `counts` to `offsets`, and their total
-    /// behind them.
-    pub fn record(
+    /// behind them. Returns `offsets`.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counts: &Buffer<u32>,
-        offsets: &Buffer<u32>,
+        offsets: &'a Buffer<u32>,
         count: usize,
-    ) {
+    ) -> &'a Buffer<u32> {
         let bindings = Bindings {
             counts: counts.bound(),
             offsets: offsets.bound(),
@@ -40,5 +40,6 @@ impl Scan {
         };
         let groups = groups_for(count.div_ceil(SCAN_BLOCK).max(1));
         recorder.dispatch(&self.kernel, bindings, push, groups);
+        offsets
     }
 }

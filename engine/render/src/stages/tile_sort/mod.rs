@@ -24,7 +24,7 @@ pub use split_slabs::SplitSlabs;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{FrameCounters, PURPOSE, Projected, TileLists};
+use super::{FrameCounters, PURPOSE, Projected, SortedLists, TileLists};
 use crate::capacity::Capacity;
 use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists, response_squares_max};
 
@@ -173,15 +173,15 @@ impl TileSort {
         })
     }
 
-    /// Writes the sorted lists of `bins` coarse tiles to `buffers`.
-    pub fn record(
+    /// Writes the sorted lists of `bins` coarse tiles to `buffers`, and returns them.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
         records: Records<'_>,
-        buffers: &TileSortBuffers,
+        buffers: &'a TileSortBuffers,
         bins: u32,
-    ) {
+    ) -> SortedLists<'a> {
         recorder.stage("bin", |r| {
             self.plan_lists.record(r, counters, records, buffers);
             self.count.record(r, counters, records, buffers);
@@ -192,5 +192,9 @@ impl TileSort {
             self.split.record(r, counters, records, buffers);
             self.sort.record(r, counters, records, buffers);
         });
+        SortedLists {
+            lists: buffers.lists_of(bins),
+            records: &buffers.sorted_records,
+        }
     }
 }
