@@ -82,7 +82,9 @@ fn build<S: Shader>(context: &Arc<Context>, values: &[Constant]) -> Result<Kerne
     };
     let replacing = reflect(spirv).map_err(refuse)?;
     if let Some(fault) = interface.fault(&replacing) {
-        return Err(refuse(fault));
+        return Err(refuse(format!(
+            "{fault}; give a kernel that takes the same"
+        )));
     }
     // A kernel on trial may do without a constant of the program's.
     let has = |name: &str| (replacing.constants.iter()).any(|declared| declared.name == name);
