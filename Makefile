@@ -11,7 +11,7 @@
 #
 # One to change a shader:
 #
-#   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc. The first time it builds shaderc: about eight minutes.
+#   make shaders  compiles shaders/*.comp to shaders/spirv with shaderc, and writes their interfaces as Rust to shaders/interfaces. The first time it builds shaderc: about eight minutes.
 #
 # And those that attack the programs, for a night (FUZZ_SECONDS, ABUSE_TRIES and SOAK_SECONDS say how long):
 #
@@ -131,7 +131,7 @@ shaders: NEEDS := $(NEEDS_SHADERC)
 shaders: packages
 	cargo run --quiet --package decouplegs-shaders --features compile
 
-# Fails if the SPIR-V in shaders/spirv is not what shaderc makes of the shaders.
+# Fails if the SPIR-V in shaders/spirv is not what shaderc makes of the shaders, or shaders/interfaces not what is read from it.
 shaders-check: NEEDS := $(NEEDS_SHADERC)
 shaders-check: packages
 	cargo run --quiet --package decouplegs-shaders --features compile -- --check

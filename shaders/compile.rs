@@ -1,8 +1,13 @@
-//! Compiles every `.comp` of this folder to `spirv/NAME.spv` with shaderc. With `--check` it writes
-//! nothing and fails if a file would change.
+//! Compiles every `.comp` of this folder to `spirv/NAME.spv` with shaderc, and writes the interface
+//! of each as Rust to `interfaces/NAME.rs`. With `--check` it writes nothing and fails if a file
+//! would change.
+
+mod rust_source;
 
 use std::env;
 use std::process::ExitCode;
+
+use rust_source::rust_files;
 
 include!("sources.rs");
 
@@ -32,14 +37,17 @@ fn run(shaders: &Path, check: bool) -> Result<(), String> {
     let compiler =
         shaderc::Compiler::new().map_err(|error| format!("shaderc does not start: {error}"))?;
     let mut files = vec![(folder.join(DIGESTS), digests(shaders).into_bytes())];
+    let mut modules = Vec::new();
     for path in paths_with(shaders, "comp") {
-        let name = path.with_extension("spv");
-        files.push((
-            folder.join(name_of(&name)),
-            compile(&compiler, shaders, &path)?,
-        ));
+        let name = name_of(&path).trim_end_matches(".comp").to_owned();
+        let bytes = compile(&compiler, shaders, &path)?;
+        files.push((folder.join(format!("{name}.spv")), bytes.clone()));
+        modules.push((name, bytes));
     }
-    let deleted: Vec<PathBuf> = paths_with(&folder, "spv")
+    let interfaces = shaders.join("interfaces");
+    files.extend(rust_files(&modules, &interfaces)?);
+    let deleted: Vec<PathBuf> = [paths_with(&folder, "spv"), paths_with(&interfaces, "rs")]
+        .concat()
         .into_iter()
         .filter(|path| !files.iter().any(|(file, _)| file == path))
         .collect();
@@ -55,7 +63,7 @@ fn run(shaders: &Path, check: bool) -> Result<(), String> {
         return match stale[..] {
             [] => Ok(()),
             _ => Err(format!(
-                "shaders/spirv is not what shaderc makes of the shaders: {}. Run `make shaders`.",
+                "shaders/spirv and shaders/interfaces are not what is made of the shaders: {}. Run `make shaders`.",
                 stale.join(", ")
             )),
         };
@@ -78,7 +86,7 @@ fn compile(compiler: &shaderc::Compiler, shaders: &Path, path: &Path) -> Result<
         shaderc::EnvVersion::Vulkan1_3 as u32,
     );
     options.set_optimization_level(shaderc::OptimizationLevel::Performance);
-    // Kernels are bound by the names in the source: debug information keeps them.
+    // Interfaces have the names in the source: debug information keeps them.
     options.set_generate_debug_info();
     options.set_warnings_as_errors();
     options.set_include_callback(|name, _, _, _| {

@@ -3,8 +3,8 @@
 //! again and compares the bytes.
 //!
 //! Each `NAME.comp` in this folder is a [`Kernel`] here called `NAME` in capitals. Names of
-//! buffers, structure members and specialization constants are kept in the SPIR-V: kernels are
-//! bound by name.
+//! buffers, structure members and specialization constants are kept in the SPIR-V: `make shaders`
+//! makes Rust types of them, in `interfaces`.
 #![forbid(unsafe_code)]
 
 /// One compiled compute shader.

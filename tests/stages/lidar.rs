@@ -95,13 +95,11 @@ impl Listed {
         let mut recorder = gpu.record(QueueRole::Main);
         sectors.copy(&mut recorder);
         let (counters, lists) = (&buffers.counters, &buffers.lists);
-        for (buffer, bytes) in [
-            (counters.required.binding(), counters.required.byte_len()),
-            (counters.arguments.binding(), counters.arguments.byte_len()),
-            (lists.slab_counts.binding(), lists.slab_counts.byte_len()),
-        ] {
-            recorder.fill(buffer, 0, bytes, 0);
-        }
+        let (required, arguments) = (&counters.required, &counters.arguments);
+        recorder.fill(required, 0, required.byte_len(), 0);
+        recorder.fill(arguments, 0, arguments.byte_len(), 0);
+        let slab_counts = &lists.slab_counts;
+        recorder.fill(slab_counts, 0, slab_counts.byte_len(), 0);
         project.record(&mut recorder, LidarPass::Mark, &scene, &sectors, &buffers);
         let count = sectors.count * clusters;
         let counts = &buffers.visible.counts;

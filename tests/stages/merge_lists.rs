@@ -6,7 +6,7 @@ use decouplegs::render::Capacity;
 use decouplegs::render::layout::{MERGE_PAIRS, MergePiece, NOT_BLENDED, RequiredCounts, SLABS};
 use decouplegs::render::stages::{
     DrawnAlone, IndirectArguments, MergeBuffers, MergeLists, Projected, RecordContents, Records,
-    TileLists, TileSort, TileSortBuffers,
+    SortedLists, TileLists, TileSort, TileSortBuffers,
 };
 use decouplegs::render::twins;
 use decouplegs::scene::{DepthOrder, Rules};
@@ -116,7 +116,14 @@ impl Case {
                 holds: self.drawn_holds,
             };
             merge.record_plan(r, &counters, lists, &buffers, drawn);
-            merge.record(r, &counters, &moving, &projected, &buffers);
+            let records = &moving.sorted_records;
+            merge.record(
+                r,
+                &counters,
+                SortedLists { lists, records },
+                &projected,
+                &buffers,
+            );
         });
         let (required, arguments) = found(gpu, &counters);
 
@@ -352,7 +359,14 @@ fn merged_lists_of_several_cameras_are_those_of_one_sort() {
                 holds: false,
             };
             merge.record_plan(r, &counters, lists, &buffers, drawn);
-            merge.record(r, &counters, &own, &projected, &buffers);
+            let records = &own.sorted_records;
+            merge.record(
+                r,
+                &counters,
+                SortedLists { lists, records },
+                &projected,
+                &buffers,
+            );
         });
         let records = gpu.read(&buffers.sorted_records).unwrap();
         let lists = gpu.read(&buffers.merged_lists).unwrap();

@@ -67,7 +67,7 @@ fn open() -> Validated {
 }
 
 /// Runs what `record` records, to its end.
-fn run(gpu: &Validated, record: impl FnOnce(&mut Recorder)) {
+fn run<T>(gpu: &Validated, record: impl FnOnce(&mut Recorder) -> T) {
     let mut recorder = gpu.record(QueueRole::Main);
     record(&mut recorder);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();

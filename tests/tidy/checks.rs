@@ -26,8 +26,9 @@ const KERNELS_OF_A_STAGE: &[(&str, &str)] = &[
 /// Crates of the workspace that the crate of a `Cargo.toml` may use.
 const MAY_USE: &[(&str, &[&str])] = &[
     ("engine/scene/Cargo.toml", &[]),
-    ("engine/gpu/Cargo.toml", &[]),
-    ("shaders/Cargo.toml", &[]),
+    ("engine/spirv/Cargo.toml", &[]),
+    ("engine/gpu/Cargo.toml", &["decouplegs-spirv"]),
+    ("shaders/Cargo.toml", &["decouplegs-spirv"]),
     ("engine/asset/Cargo.toml", &["decouplegs-scene"]),
     ("engine/drive/Cargo.toml", &["decouplegs-scene"]),
     ("engine/synth/Cargo.toml", &["decouplegs-scene"]),

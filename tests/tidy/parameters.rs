@@ -20,7 +20,9 @@ pub fn tuples_hide_no_parameters(tree: &Tree) -> Vec<Finding> {
 pub fn stages_take_few_values(tree: &Tree) -> Vec<Finding> {
     let too_many = |file: &SourceFile, function: &str, values: &[usize]| {
         file.path.starts_with("engine/render/src/stages/")
-            && function.starts_with("fn record(")
+            && ["fn record(", "fn record<"]
+                .iter()
+                .any(|start| function.starts_with(start))
             && values.iter().sum::<usize>() > STAGE_VALUES_MAX
     };
     functions_of(tree, too_many)

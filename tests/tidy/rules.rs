@@ -344,6 +344,10 @@ pub const RULES: &[Rule] = &[
                 "engine/render/src/stages/b/a.rs",
                 "fn record(r: &mut R, a: u8, b: u8, c: u8, d: u8, e: u8) {}\n",
             ),
+            (
+                "engine/render/src/stages/c.rs",
+                "fn record<'a>(&self, r: &mut R, a: &'a u8, b: u8, c: u8, d: u8, e: u8) {}\n",
+            ),
         ],
     },
     Rule {

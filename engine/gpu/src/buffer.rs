@@ -112,11 +112,14 @@ impl<T> Buffer<T> {
         Arc::strong_count(&self.memory)
     }
 
-    /// The buffer without its type, to be bound to a kernel.
+    /// The buffer, to be bound to a kernel that has values of `T` in it.
     #[must_use]
-    pub fn binding(&self) -> Bound<'_> {
+    pub fn bound(&self) -> Bound<'_, T> {
         Bound {
-            memory: &self.memory,
+            memory: BoundMemory {
+                memory: &self.memory,
+            },
+            element: PhantomData,
         }
     }
 }
@@ -167,13 +170,45 @@ impl<T: Pod> Buffer<T> {
     }
 }
 
-/// A buffer without its element type, as a kernel sees it.
+/// A buffer as a kernel sees it: values of `T`.
+pub struct Bound<'a, T> {
+    memory: BoundMemory<'a>,
+    element: PhantomData<fn() -> T>,
+}
+
+impl<T> Clone for Bound<'_, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Bound<'_, T> {}
+
+impl<'a, T> Bound<'a, T> {
+    /// The same memory for a kernel that has values of `U` in it: `u32` where it copies words, a
+    /// vector where it reads several values at once.
+    #[must_use]
+    pub fn cast<U>(self) -> Bound<'a, U> {
+        Bound {
+            memory: self.memory,
+            element: PhantomData,
+        }
+    }
+
+    /// The buffer without its type.
+    #[must_use]
+    pub fn memory(self) -> BoundMemory<'a> {
+        self.memory
+    }
+}
+
+/// A buffer without the type of its values.
 #[derive(Clone, Copy)]
-pub struct Bound<'a> {
+pub struct BoundMemory<'a> {
     pub(crate) memory: &'a Arc<BufferMemory>,
 }
 
-impl fmt::Debug for Bound<'_> {
+impl fmt::Debug for BoundMemory<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} ({} bytes)", self.memory.name, self.memory.byte_len)
     }

@@ -12,7 +12,7 @@ use crate::{
     context::{Context, ShortName},
     device::BINDINGS_MAX,
     hazards::{self, Hazards},
-    kernel::KernelCore,
+    kernel::{KernelCore, descriptor_type},
     memory::BufferMemory,
 };
 
@@ -150,13 +150,13 @@ impl CommandList {
                 }
                 Command::Dispatch(groups) => {
                     let Some(kernel) = kernels.next() else { break };
-                    let bound = take(&mut buffers, kernel.bindings.len());
+                    let bound = take(&mut buffers, kernel.interface.bindings.len());
                     encoder.bind(kernel, bound, None, take(&mut push, kernel.push_len()));
                     encoder.dispatch(groups);
                 }
                 Command::DispatchIndirect(byte_offset) => {
                     let Some(kernel) = kernels.next() else { break };
-                    let bound = take(&mut buffers, kernel.bindings.len());
+                    let bound = take(&mut buffers, kernel.interface.bindings.len());
                     let arguments = &take(&mut buffers, 1)[0];
                     let push = take(&mut push, kernel.push_len());
                     encoder.bind(kernel, bound, Some(arguments), push);
@@ -220,7 +220,11 @@ impl Encoder<'_> {
         arguments: Option<&Arc<BufferMemory>>,
         push: &[u8],
     ) {
-        let accesses = kernel.bindings.iter().map(|binding| binding.access);
+        let accesses = kernel
+            .interface
+            .bindings
+            .iter()
+            .map(|binding| binding.access);
         let arguments = arguments.map(|arguments| (arguments, Access::Read));
         self.touch(buffers.iter().zip(accesses).chain(arguments));
         let (device, point) = (&self.context.device, vk::PipelineBindPoint::COMPUTE);
@@ -236,25 +240,29 @@ impl Encoder<'_> {
 
     fn push_descriptors(&self, kernel: &KernelCore, buffers: &[Arc<BufferMemory>]) {
         let mut infos = [vk::DescriptorBufferInfo::default(); BINDINGS_MAX];
-        for ((info, memory), binding) in infos.iter_mut().zip(buffers).zip(&kernel.bindings) {
+        for ((info, memory), binding) in infos
+            .iter_mut()
+            .zip(buffers)
+            .zip(kernel.interface.bindings.iter())
+        {
             *info = vk::DescriptorBufferInfo {
                 buffer: memory.raw,
                 offset: 0,
-                range: binding.uniform_bytes().unwrap_or(memory.bound_bytes),
+                range: (binding.uniform_bytes).map_or(memory.bound_bytes, u64::from),
             };
         }
         let mut writes = [vk::WriteDescriptorSet::default(); BINDINGS_MAX];
         for ((write, info), binding) in writes
             .iter_mut()
             .zip(infos.chunks_exact(1))
-            .zip(&kernel.bindings)
+            .zip(kernel.interface.bindings.iter())
         {
             *write = vk::WriteDescriptorSet::default()
-                .dst_binding(binding.binding)
-                .descriptor_type(binding.descriptor_type())
+                .dst_binding(binding.number)
+                .descriptor_type(descriptor_type(binding))
                 .buffer_info(info);
         }
-        let writes = &writes[..kernel.bindings.len()];
+        let writes = &writes[..kernel.interface.bindings.len()];
         if !writes.is_empty() {
             let point = vk::PipelineBindPoint::COMPUTE;
             // SAFETY: every binding of the layout's set 0 is written with a live buffer that is

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use bytemuck::Pod;
 
 use crate::{
-    Buffer, Constant, DeviceChoice, DeviceInfo, DeviceOptions, DeviceSet, GpuError, Kernel,
-    KernelCounts, KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Ticket,
-    Uploads, choice, context::Context, device, drill::DrillState, instance::Instance,
-    kernel::Kernels, memory::BufferMemory, queue::Queue, transfer,
+    Buffer, DeviceChoice, DeviceInfo, DeviceOptions, DeviceSet, GpuError, Kernel, KernelCounts,
+    KernelReport, Limits, MemoryKind, MemoryReport, QueueRole, Recorder, Shader, Ticket, Uploads,
+    choice, context::Context, device, drill::DrillState, instance::Instance, kernel::Kernels,
+    memory::BufferMemory, queue::Queue, transfer,
 };
 
 /// One moment on the clocks of host and device.
@@ -276,27 +276,16 @@ impl Gpu {
         transfer::read(self, buffer, self.piece_bytes())
     }
 
-    /// Builds a kernel from a SPIR-V module with names (debug information), its specialization
-    /// constants given by name. A constant that sizes the workgroup and has no other use goes by
-    /// `local_size_x`, `local_size_y` or `local_size_z`, as compilers drop its name. A kernel of
-    /// equal name, module and constants is the same one: it is not built again.
+    /// Builds the kernel of the shader `S`. A kernel of the same shader with equal constants is
+    /// the same one: it is not built again.
     ///
     /// # Errors
-    /// Returns an error if the device lacks a feature that the module uses, its workgroup is too
-    /// large for the device, the module binds something other than storage and uniform buffers in
-    /// set 0, or the driver cannot build it.
-    ///
-    /// # Panics
-    /// Panics if the module has no constant of a name, or one of another type.
-    pub fn kernel(
-        &self,
-        name: &'static str,
-        spirv: &[u32],
-        constants: &[(&str, Constant)],
-    ) -> Result<Kernel, GpuError> {
-        self.0
-            .kernels
-            .find_or_build(&self.0.context, name, spirv, constants)
+    /// Returns an error if the device lacks a feature that the shader uses, its workgroup is too
+    /// large for the device, the driver cannot build it, or a kernel on trial that replaces it
+    /// ([`DeviceOptions::trial`]) takes other buffers or push constants.
+    pub fn kernel<S: Shader>(&self, constants: &S::Constants) -> Result<Kernel<S>, GpuError> {
+        let kernels = &self.0.kernels;
+        kernels.find_or_build(&self.0.context, constants)
     }
 
     /// Starts a list of commands.

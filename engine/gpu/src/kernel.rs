@@ -1,15 +1,15 @@
-//! Kernels: a compute pipeline whose buffers, constants and layouts go by the names in the shader.
+//! Kernels: compute pipelines of shaders, whose buffers and constants are types.
 
-mod module;
-mod reflection;
 mod shared;
 
+use std::marker::PhantomData;
 use std::sync::{
-    Arc, OnceLock,
+    Arc,
     atomic::{AtomicU64, Ordering},
 };
 
 use ash::vk;
+use decouplegs_spirv::{Binding, Interface, SpecConstant};
 
 use crate::{
     GpuError, KernelReport, Limits,
@@ -17,20 +17,7 @@ use crate::{
     device::BINDINGS_MAX,
     error::failed,
 };
-use module::Kind;
-use reflection::{Block, Interface};
 pub(crate) use shared::Kernels;
-
-/// Access of a kernel to a buffer, from `readonly` and `writeonly` in the shader.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// Declared `readonly`.
-    Read,
-    /// Declared `writeonly`.
-    Write,
-    /// Declared neither.
-    ReadWrite,
-}
 
 /// The value of a specialization constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,149 +51,31 @@ impl Constant {
             Self::Bool(value) => u32::from(value),
         }
     }
-
-    fn kind(self) -> Kind {
-        match self {
-            Self::U32(_) => Kind::U32,
-            Self::I32(_) => Kind::I32,
-            Self::F32(_) => Kind::F32,
-            Self::Bool(_) => Kind::Bool,
-        }
-    }
 }
 
 /// Size of a uniform buffer: what Vulkan guarantees (`maxUniformBufferRange`).
 const UNIFORM_BYTES_MAX: u32 = 16_384;
 
-/// A buffer that a kernel wants.
-#[derive(Clone, Debug)]
-pub struct KernelBinding {
-    /// The block's instance name; without one, the name of its only member, else of the block.
-    pub name: String,
-    /// Access of the kernel.
-    pub access: Access,
-    pub(crate) binding: u32,
-    /// True for a uniform buffer, false for a storage buffer.
-    uniform: bool,
-    block: Block,
-}
-
-impl KernelBinding {
-    pub(crate) fn descriptor_type(&self) -> vk::DescriptorType {
-        match self.uniform {
-            true => vk::DescriptorType::UNIFORM_BUFFER,
-            false => vk::DescriptorType::STORAGE_BUFFER,
-        }
-    }
-
-    /// Bytes that a uniform buffer must have; `None` for a storage buffer.
-    pub(crate) fn uniform_bytes(&self) -> Option<u64> {
-        self.uniform.then_some(u64::from(self.block.bytes))
+/// Kind of descriptor of a buffer.
+pub(crate) fn descriptor_type(binding: &Binding) -> vk::DescriptorType {
+    match binding.uniform_bytes {
+        Some(_) => vk::DescriptorType::UNIFORM_BUFFER,
+        None => vk::DescriptorType::STORAGE_BUFFER,
     }
 }
 
-/// A compute pipeline, ready to be dispatched. Clones share it.
-#[derive(Clone)]
-pub struct Kernel {
+/// A compute pipeline of the shader `S`, ready to be dispatched. Clones share it.
+pub struct Kernel<S> {
     pub(crate) core: Arc<KernelCore>,
+    shader: PhantomData<fn() -> S>,
 }
 
-impl std::fmt::Debug for Kernel {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} {:?}", self.core.name, self.core.workgroup_size)
-    }
-}
-
-pub(crate) struct KernelCore {
-    /// Different for each kernel of this process.
-    pub(crate) id: u64,
-    pub(crate) name: &'static str,
-    pub(crate) bindings: Vec<KernelBinding>,
-    /// Indices at which callers give each binding ([`crate::Recorder`]).
-    pub(crate) indices: OnceLock<Vec<u8>>,
-    push_bytes: u32,
-    pub(crate) pipeline: vk::Pipeline,
-    pub(crate) layout: vk::PipelineLayout,
-    set_layout: vk::DescriptorSetLayout,
-    push: Block,
-    workgroup_size: [u32; 3],
-    subgroups_pinned: bool,
-    /// Figures of the driver, where it was asked.
-    report: Option<KernelReport>,
-    context: Arc<Context>,
-}
-
-impl Kernel {
-    fn new(
-        context: &Arc<Context>,
-        name: &'static str,
-        spirv: &[u32],
-        constants: &[(&str, Constant)],
-    ) -> Result<Self, GpuError> {
-        let constants = context.trial.constants(name, constants)?;
-        let replaced = context.trial.spirv(name);
-        let spirv = replaced.unwrap_or(spirv);
-        let refuse = |reason| GpuError::Kernel {
-            kernel: name,
-            reason,
-        };
-        let interface = reflection::reflect(spirv).map_err(refuse)?;
-        let constants = match replaced.is_some() {
-            // A kernel on trial may do without a constant of the program's.
-            true => constants_in(&interface, &constants),
-            false => constants,
-        };
-        let constants = constants.as_slice();
-        let specialized = specialize(name, &interface, constants);
-        let workgroup_size = interface.workgroup_size(&specialized);
-        check_capabilities(context, name, &interface)?;
-        check_sizes(&context.limits, &interface, workgroup_size).map_err(refuse)?;
-        let push = interface.push.clone().unwrap_or_default();
-        let bindings: Vec<KernelBinding> = interface
-            .bindings
-            .iter()
-            .map(|found| KernelBinding {
-                name: found.name.clone(),
-                access: found.access,
-                binding: found.binding,
-                uniform: found.uniform,
-                block: found.block.clone(),
-            })
-            .collect();
-        // Handles stay null until they are made, and destroying null does nothing: so a failure
-        // half way leaks nothing.
-        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
-        let mut core = KernelCore {
-            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
-            name,
-            bindings,
-            indices: OnceLock::new(),
-            push_bytes: push.bytes,
-            pipeline: vk::Pipeline::null(),
-            layout: vk::PipelineLayout::null(),
-            set_layout: vk::DescriptorSetLayout::null(),
-            push,
-            workgroup_size,
-            subgroups_pinned: pins_subgroups(context, workgroup_size),
-            report: None,
-            context: context.clone(),
-        };
-        core.make_layout()?;
-        core.make_pipeline(spirv, &interface.entry_point, &specialized)?;
-        core.report = context
-            .executables
-            .as_ref()
-            .map(|executables| KernelReport {
-                name,
-                workgroup_threads: workgroup_size.iter().product(),
-                constants: (constants.iter())
-                    .map(|&(name, constant)| (name.to_owned(), constant))
-                    .collect(),
-                figures: executables.figures(core.pipeline),
-            });
-        Ok(Self {
-            core: Arc::new(core),
-        })
+impl<S> Kernel<S> {
+    fn from_core(core: Arc<KernelCore>) -> Self {
+        Self {
+            core,
+            shader: PhantomData,
+        }
     }
 
     /// The name it was made with.
@@ -227,71 +96,103 @@ impl Kernel {
     pub fn subgroups_pinned(&self) -> bool {
         self.core.subgroups_pinned
     }
+}
 
-    /// Figures of the driver; `None` where it was not asked or has no answer.
-    pub(crate) fn report(&self) -> Option<&KernelReport> {
-        self.core.report.as_ref()
-    }
-
-    /// The buffers it wants, by binding number.
-    #[must_use]
-    pub fn bindings(&self) -> &[KernelBinding] {
-        &self.core.bindings
-    }
-
-    /// Size of its push constants.
-    #[must_use]
-    pub fn push_bytes(&self) -> u32 {
-        self.core.push_bytes
-    }
-
-    /// Names and byte offsets of the push constants.
-    #[must_use]
-    pub fn push_member_offsets(&self) -> &[(String, u32)] {
-        &self.core.push.members
-    }
-
-    /// Names and byte offsets of the members of the structure that `binding` holds: of an element
-    /// where the block is an array of structures, else of the block itself. `None` for a name that
-    /// the kernel does not have.
-    #[must_use]
-    pub fn member_offsets(&self, binding: &str) -> Option<Vec<(String, u32)>> {
-        self.binding(binding)
-            .map(|found| found.block.members.clone())
-    }
-
-    /// Bytes from element to element, where `binding` holds nothing but an array.
-    #[must_use]
-    pub fn element_stride(&self, binding: &str) -> Option<u32> {
-        self.binding(binding).and_then(|found| found.block.stride)
-    }
-
-    fn binding(&self, name: &str) -> Option<&KernelBinding> {
-        self.core.bindings.iter().find(|found| found.name == name)
+impl<S> Clone for Kernel<S> {
+    fn clone(&self) -> Self {
+        Self::from_core(self.core.clone())
     }
 }
 
+impl<S> std::fmt::Debug for Kernel<S> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {:?}", self.core.name, self.core.workgroup_size)
+    }
+}
+
+pub(crate) struct KernelCore {
+    /// Different for each kernel of this process.
+    pub(crate) id: u64,
+    pub(crate) name: &'static str,
+    pub(crate) interface: Interface,
+    pub(crate) pipeline: vk::Pipeline,
+    pub(crate) layout: vk::PipelineLayout,
+    set_layout: vk::DescriptorSetLayout,
+    workgroup_size: [u32; 3],
+    subgroups_pinned: bool,
+    /// Figures of the driver, where it was asked.
+    report: Option<KernelReport>,
+    context: Arc<Context>,
+}
+
 impl KernelCore {
-    pub(crate) fn push_len(&self) -> usize {
-        self.push_bytes as usize
+    /// Builds the kernel called `name` from `spirv`, whose interface is `interface`.
+    fn new(
+        context: &Arc<Context>,
+        name: &'static str,
+        spirv: &[u32],
+        interface: Interface,
+        constants: &[(&str, Constant)],
+    ) -> Result<Self, GpuError> {
+        let refuse = |reason| GpuError::Kernel {
+            kernel: name,
+            reason,
+        };
+        // A kernel on trial may have constants of its own, which keep their values.
+        let given = |declared: &SpecConstant| {
+            let mut constants = constants.iter();
+            let (_, value) = constants.find(|(name, _)| *name == declared.name)?;
+            Some((declared.spec_id, value.bits()))
+        };
+        let specialized: Vec<(u32, u32)> = interface.constants.iter().filter_map(given).collect();
+        let workgroup_size = interface.workgroup_size(&specialized);
+        check_capabilities(context, name, &interface)?;
+        check_sizes(&context.limits, &interface, workgroup_size).map_err(refuse)?;
+        // Handles stay null until they are made, and destroying null does nothing: so a failure
+        // half way leaks nothing.
+        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
+        let mut core = Self {
+            id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
+            name,
+            interface,
+            pipeline: vk::Pipeline::null(),
+            layout: vk::PipelineLayout::null(),
+            set_layout: vk::DescriptorSetLayout::null(),
+            workgroup_size,
+            subgroups_pinned: pins_subgroups(context, workgroup_size),
+            report: None,
+            context: context.clone(),
+        };
+        core.make_layout()?;
+        core.make_pipeline(spirv, &specialized)?;
+        core.report = context
+            .executables
+            .as_ref()
+            .map(|executables| KernelReport {
+                name,
+                workgroup_threads: workgroup_size.iter().product(),
+                constants: (constants.iter())
+                    .map(|&(name, constant)| (name.to_owned(), constant))
+                    .collect(),
+                figures: executables.figures(core.pipeline),
+            });
+        Ok(core)
     }
 
-    pub(crate) fn binding_names(&self) -> Vec<&str> {
-        self.bindings
-            .iter()
-            .map(|found| found.name.as_str())
-            .collect()
+    pub(crate) fn push_len(&self) -> usize {
+        self.interface.push_bytes as usize
     }
 
     fn make_layout(&mut self) -> Result<(), GpuError> {
         let device = &self.context.device;
         let bindings: Vec<vk::DescriptorSetLayoutBinding<'_>> = self
+            .interface
             .bindings
             .iter()
             .map(|found| {
                 vk::DescriptorSetLayoutBinding::default()
-                    .binding(found.binding)
-                    .descriptor_type(found.descriptor_type())
+                    .binding(found.number)
+                    .descriptor_type(descriptor_type(found))
                     .descriptor_count(1)
                     .stage_flags(vk::ShaderStageFlags::COMPUTE)
             })
@@ -299,8 +200,8 @@ impl KernelCore {
         let create = vk::DescriptorSetLayoutCreateInfo::default()
             .flags(vk::DescriptorSetLayoutCreateFlags::PUSH_DESCRIPTOR_KHR)
             .bindings(&bindings);
-        // SAFETY: the device has push descriptors, and reflection made sure that binding numbers
-        // differ and are few.
+        // SAFETY: the device has push descriptors; binding numbers differ, as the reader of SPIR-V
+        // made sure, and are few.
         self.set_layout = self
             .context
             .call("vkCreateDescriptorSetLayout", || unsafe {
@@ -310,9 +211,9 @@ impl KernelCore {
         let push = [vk::PushConstantRange {
             stage_flags: vk::ShaderStageFlags::COMPUTE,
             offset: 0,
-            size: self.push_bytes,
+            size: self.interface.push_bytes,
         }];
-        let ranges = if self.push_bytes == 0 {
+        let ranges = if self.interface.push_bytes == 0 {
             &[][..]
         } else {
             &push[..]
@@ -328,12 +229,7 @@ impl KernelCore {
         Ok(())
     }
 
-    fn make_pipeline(
-        &mut self,
-        spirv: &[u32],
-        entry_point: &str,
-        specialized: &[(u32, u32)],
-    ) -> Result<(), GpuError> {
+    fn make_pipeline(&mut self, spirv: &[u32], specialized: &[(u32, u32)]) -> Result<(), GpuError> {
         let context = self.context.clone();
         let entries: Vec<vk::SpecializationMapEntry> = (0_u32..)
             .zip(specialized)
@@ -348,12 +244,12 @@ impl KernelCore {
             .map_entries(&entries)
             .data(bytemuck::cast_slice(&values));
         let create = vk::ShaderModuleCreateInfo::default().code(spirv);
-        // SAFETY: `spirv` is SPIR-V by its header and reflection; that it is valid beyond that is
-        // the shader compiler's promise.
+        // SAFETY: the shader compiler, which made `spirv`, promises that it is valid; what is on
+        // trial was read as SPIR-V before.
         let module = context.call("vkCreateShaderModule", || unsafe {
             context.device.create_shader_module(&create, None)
         })?;
-        let entry_point = ShortName::new(entry_point);
+        let entry_point = ShortName::new(&self.interface.entry_point);
         let mut subgroups = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
             .required_subgroup_size(context.limits.subgroup_size);
         let mut stage = vk::PipelineShaderStageCreateInfo::default()
@@ -379,7 +275,7 @@ impl KernelCore {
             .layout(self.layout)
             .push_next(&mut feedback);
         // SAFETY: module and layout are live and of this device, what `create` points to outlives
-        // the call, and the layout was reflected from the module.
+        // the call, and the layout is that of the module's interface.
         let pipelines = context.code_of("vkCreateComputePipelines", || unsafe {
             let (device, cache) = (&context.device, context.pipelines.cache);
             let pipelines = device.create_compute_pipelines(cache, &[create], None);
@@ -422,51 +318,6 @@ impl Drop for KernelCore {
     }
 }
 
-/// Selects the `constants` that the shader has.
-fn constants_in<'a>(
-    interface: &Interface,
-    constants: &[(&'a str, Constant)],
-) -> Vec<(&'a str, Constant)> {
-    let has = |name: &str| interface.constants.iter().any(|found| found.name == name);
-    let all = constants.iter().copied();
-    all.filter(|(name, _)| has(name)).collect()
-}
-
-/// The given constants by their ids.
-///
-/// # Panics
-/// Panics if the shader has no constant of a name, or one of another type.
-fn specialize(
-    kernel: &str,
-    interface: &Interface,
-    constants: &[(&str, Constant)],
-) -> Vec<(u32, u32)> {
-    let found = |name: &str, constant: Constant| {
-        let Some(declared) = interface
-            .constants
-            .iter()
-            .find(|declared| declared.name == name)
-        else {
-            let names: Vec<&str> = interface
-                .constants
-                .iter()
-                .map(|declared| declared.name.as_str())
-                .collect();
-            panic!("kernel {kernel}: no specialization constant '{name}', it has {names:?}");
-        };
-        assert!(
-            declared.kind == constant.kind(),
-            "kernel {kernel}: specialization constant '{name}' is {:?} in the shader, given is {constant:?}",
-            declared.kind
-        );
-        (declared.spec_id, constant.bits())
-    };
-    constants
-        .iter()
-        .map(|&(name, constant)| found(name, constant))
-        .collect()
-}
-
 fn check_capabilities(
     context: &Context,
     kernel: &'static str,
@@ -500,14 +351,18 @@ fn check_sizes(limits: &Limits, interface: &Interface, workgroup: [u32; 3]) -> R
             interface.bindings.len()
         ));
     }
-    let mut uniforms = interface.bindings.iter().filter(|binding| binding.uniform);
-    if let Some(large) = uniforms.find(|binding| binding.block.bytes > UNIFORM_BYTES_MAX) {
-        return Err(format!(
-            "{} has {} bytes, a uniform buffer at most {UNIFORM_BYTES_MAX}",
-            large.name, large.block.bytes
-        ));
+    for binding in interface.bindings.iter() {
+        if let Some(bytes) = binding
+            .uniform_bytes
+            .filter(|bytes| *bytes > UNIFORM_BYTES_MAX)
+        {
+            return Err(format!(
+                "{} has {bytes} bytes, a uniform buffer at most {UNIFORM_BYTES_MAX}",
+                binding.name
+            ));
+        }
     }
-    let push_bytes = interface.push.as_ref().map_or(0, |push| push.bytes);
+    let push_bytes = interface.push_bytes;
     if push_bytes > limits.push_constant_bytes_max || !push_bytes.is_multiple_of(4) {
         let max = limits.push_constant_bytes_max;
         return Err(format!(

@@ -1,12 +1,12 @@
 //! Vulkan layer of DecoupleGS: compute only, without knowledge of splats.
 //!
-//! A [`Gpu`] is opened once. Buffers are typed and counted by purpose ([`Buffer`]), kernels bind
-//! them by the names that the shader gives them ([`Kernel`]), a [`Recorder`] lists dispatches, and
+//! A [`Gpu`] is opened once. Buffers are typed and counted by purpose ([`Buffer`]), kernels take
+//! them as members of a structure ([`Kernel`], [`Shader`]), a [`Recorder`] lists dispatches, and
 //! submitting makes a command buffer with barriers of them, or repeats one that did the same, and
 //! gives a [`Ticket`] to wait for and to read times from.
 //!
 //! # Reading order
-//! `choice` and `device` (opening), `memory` and `buffer`, `kernel`, `kernel/reflection` and
+//! `choice` and `device` (opening), `memory` and `buffer`, `shader`, `kernel` and
 //! `kernel_cache`, `recorder`, `commands` and `hazards` (all barriers),
 //! `queue` (submitting, waiting, repeating), `transfer` (staged uploads and reads).
 //!
@@ -40,22 +40,25 @@ mod kernel_cache;
 mod memory;
 mod queue;
 mod recorder;
+mod shader;
 mod slot;
 mod ticket;
 mod transfer;
 mod trial;
 
-pub use buffer::{Bound, Buffer, MemoryKind};
+pub use buffer::{Bound, BoundMemory, Buffer, MemoryKind};
 pub use choice::{DeviceChoice, DeviceOptions, DeviceSet, QueueUse};
+pub use decouplegs_spirv::{Access, Binding, Interface, Kind, Member, Size, SpecConstant};
 pub use drill::Drill;
 pub use error::GpuError;
 pub use export::ExportedMemory;
 pub use gpu::{DeviceClock, Gpu};
 pub use info::{DeviceInfo, DeviceKind, Limits, MemoryReport};
-pub use kernel::{Access, Constant, Kernel, KernelBinding};
+pub use kernel::{Constant, Kernel};
 pub use kernel_cache::{KernelCache, KernelCounts};
 pub use queue::QueueRole;
 pub use recorder::Recorder;
+pub use shader::{Shader, member_bytes};
 pub use ticket::{StageTime, Ticket};
 pub use transfer::Uploads;
 pub use trial::{KernelReport, KernelTrial};

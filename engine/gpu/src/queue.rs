@@ -343,27 +343,49 @@ fn semaphore_at(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo
 mod tests {
     use std::time::Duration;
 
-    use crate::{DeviceKind, DeviceOptions, Gpu, QueueRole};
+    use crate::{DeviceKind, DeviceOptions, Gpu, Kernel, QueueRole};
+
+    /// A kernel that takes a while.
+    mod spin {
+        crate::shader! {
+            "spin", {
+                let bytes = include_bytes!("../tests/kernels/spin.spv").as_chunks::<4>().0;
+                let words = bytes.iter().map(|word| u32::from_le_bytes(*word));
+                words.collect::<Vec<u32>>().leak()
+            };
+            entry_point: "main";
+            workgroup: [(64, None), (1, None), (1, None)];
+            capabilities: [1];
+            bindings {
+                0 values: u32, ReadWrite, None;
+            }
+            push 8 {
+                0 count: u32;
+                4 rounds: u32;
+            }
+            constants {
+            }
+        }
+    }
 
     /// A lost device is reported with the last poll while work ran, as there may be none
     /// afterwards.
     #[test]
     fn a_look_at_running_work_tells_the_stages_that_are_done() {
         let gpu = Gpu::open(&DeviceOptions::default()).unwrap();
-        let bytes = include_bytes!("../tests/kernels/spin.spv").chunks_exact(4);
-        let spirv: Vec<u32> = bytes
-            .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
-            .collect();
-        let spin = gpu.kernel("spin", &spirv, &[]).unwrap();
+        let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
         let values = gpu.upload("values", "test", &vec![1_u32; 1 << 15]).unwrap();
         let mut recorder = gpu.record(QueueRole::Main).time_stages();
         for (name, rounds) in [("short", 1_u32), ("long", 50_000)] {
-            let push: Vec<u8> = [1_u32 << 15, rounds]
-                .iter()
-                .flat_map(|word| word.to_ne_bytes())
-                .collect();
+            let push = spin::Push {
+                count: 1 << 15,
+                rounds,
+            };
             recorder.stage(name, |recorder| {
-                recorder.dispatch(&spin, &[("values", values.binding())], &push, [512, 1, 1]);
+                let bindings = spin::Bindings {
+                    values: values.bound(),
+                };
+                recorder.dispatch(&spin, bindings, push, [512, 1, 1]);
             });
         }
         let ticket = gpu.submit(recorder, &[]).unwrap();

@@ -1,14 +1,13 @@
-//! Recording commands: dispatches by name, copies and fills, in stages that are labeled and timed.
+//! Recording commands: dispatches, copies and fills, in stages that are labeled and timed.
 
-use std::{borrow::Cow, sync::Arc};
+use std::sync::Arc;
 
-use bytemuck::Pod;
+use bytemuck::{Pod, bytes_of};
 
 use crate::{
-    Bound, Buffer, Kernel,
+    Buffer, Kernel, Shader,
     commands::{Command, CommandList},
     context::Context,
-    kernel::KernelCore,
     memory::BufferMemory,
     queue::Queue,
     slot::STAGES_MAX,
@@ -53,12 +52,12 @@ impl Recorder {
         self
     }
 
-    /// Records `body` as a stage: labeled in debuggers, timed where that is asked for, and then
-    /// named when the device is lost.
+    /// Records `body` as a stage, and returns what it returns. The stage is labeled in debuggers,
+    /// timed where that is asked for, and then named when the device is lost.
     ///
     /// # Panics
     /// For a stage inside a stage, and for more than 127 stages.
-    pub fn stage(&mut self, name: &'static str, body: impl FnOnce(&mut Self)) {
+    pub fn stage<T>(&mut self, name: &'static str, body: impl FnOnce(&mut Self) -> T) -> T {
         assert!(!self.in_stage, "stage {name}: stages do not nest");
         assert!(
             self.stages < STAGES_MAX,
@@ -67,22 +66,22 @@ impl Recorder {
         self.stages += 1;
         self.in_stage = true;
         self.list.add(Command::BeginStage(name));
-        body(self);
+        let result = body(self);
         self.list.add(Command::EndStage);
         self.in_stage = false;
+        result
     }
 
-    /// Runs `groups` workgroups of `kernel` on `buffers`, each given with the name that the shader
-    /// has for it, and with the push constants `push`.
+    /// Runs `groups` workgroups of `kernel` on `bindings`, with the push constants `push`.
     ///
     /// # Panics
-    /// Panics if a name is not the kernel's, a binding is not given, the push constants have
-    /// another size, or there are more workgroups than the device's limit.
-    pub fn dispatch(
+    /// Panics if there are more workgroups than the device's limit, or a uniform buffer is shorter
+    /// than the kernel's.
+    pub fn dispatch<S: Shader>(
         &mut self,
-        kernel: &Kernel,
-        buffers: &[(&str, Bound<'_>)],
-        push: &[u8],
+        kernel: &Kernel<S>,
+        bindings: S::Bindings<'_>,
+        push: S::Push,
         groups: [u32; 3],
     ) {
         let max = self.context.limits.dispatch_groups_max;
@@ -92,23 +91,22 @@ impl Recorder {
             "kernel {}: {groups:?} workgroups, the device runs at most {max:?}",
             kernel.name()
         );
-        self.bind(kernel, buffers, push);
+        self.bind(kernel, bindings, push);
         self.list.add(Command::Dispatch(groups));
     }
 
-    /// Like [`Recorder::dispatch`], with the number of workgroups read on the device: three `u32`
-    /// at `byte_offset` of `arguments`. The writer keeps them within
-    /// `dispatch_groups_max`.
+    /// Like [`Recorder::dispatch`], with the number of workgroups read on the device: three
+    /// `u32` at `byte_offset` of `arguments`. The writer keeps them within `dispatch_groups_max`.
     ///
     /// # Panics
-    /// Panics as [`Recorder::dispatch`] does, and if the offset is not a multiple of 4 or reaches
-    /// outside the buffer.
-    pub fn dispatch_indirect(
+    /// Panics as [`Recorder::dispatch`] does, and if the offset is not a multiple of 4 or
+    /// reaches outside the buffer.
+    pub fn dispatch_indirect<S: Shader, T>(
         &mut self,
-        kernel: &Kernel,
-        buffers: &[(&str, Bound<'_>)],
-        push: &[u8],
-        arguments: Bound<'_>,
+        kernel: &Kernel<S>,
+        bindings: S::Bindings<'_>,
+        push: S::Push,
+        arguments: &Buffer<T>,
         byte_offset: u64,
     ) {
         let bytes = arguments.memory.byte_len;
@@ -116,11 +114,12 @@ impl Recorder {
             && byte_offset.checked_add(12).is_some_and(|end| end <= bytes);
         assert!(
             fits,
-            "kernel {}: no indirect arguments at byte {byte_offset} of {arguments:?}",
-            kernel.name()
+            "kernel {}: no indirect arguments at byte {byte_offset} of {:?}",
+            kernel.name(),
+            arguments.bound().memory()
         );
-        self.bind(kernel, buffers, push);
-        self.use_buffer(arguments.memory);
+        self.bind(kernel, bindings, push);
+        self.use_buffer(&arguments.memory);
         self.list.add(Command::DispatchIndirect(byte_offset));
     }
 
@@ -128,18 +127,19 @@ impl Recorder {
     ///
     /// # Panics
     /// Panics if offset or length is not a multiple of 4, or the range is not inside the buffer.
-    pub fn fill(&mut self, buffer: Bound<'_>, byte_offset: u64, byte_len: u64, value: u32) {
+    pub fn fill<T>(&mut self, buffer: &Buffer<T>, byte_offset: u64, byte_len: u64, value: u32) {
         let end = byte_offset.checked_add(byte_len);
         let fits = end.is_some_and(|end| end <= buffer.memory.byte_len.next_multiple_of(4));
         let words = byte_offset.is_multiple_of(4) && byte_len.is_multiple_of(4);
         assert!(
             fits && words,
-            "fill of {buffer:?}: {byte_len} bytes at {byte_offset} are not whole words inside it"
+            "fill of {:?}: {byte_len} bytes at {byte_offset} are not whole words inside it",
+            buffer.bound().memory()
         );
         if byte_len == 0 {
             return;
         }
-        self.use_buffer(buffer.memory);
+        self.use_buffer(&buffer.memory);
         self.list.add(Command::Fill {
             byte_offset,
             byte_len,
@@ -220,18 +220,12 @@ impl Recorder {
     }
 
     /// Notes all that a dispatch needs.
-    fn bind(&mut self, kernel: &Kernel, buffers: &[(&str, Bound<'_>)], push: &[u8]) {
+    fn bind<S: Shader>(&mut self, kernel: &Kernel<S>, bindings: S::Bindings<'_>, push: S::Push) {
         let core = &kernel.core;
-        assert!(
-            push.len() == core.push_len(),
-            "kernel {}: {} bytes of push constants given, the shader declares {}",
-            core.name,
-            push.len(),
-            core.push_len()
-        );
-        for (&index, binding) in resolve(core, buffers).iter().zip(&core.bindings) {
-            let memory = buffers[usize::from(index)].1.memory;
-            let wanted_bytes = binding.uniform_bytes().unwrap_or(0);
+        let buffers = S::buffers(&bindings);
+        for (bound, binding) in buffers.as_ref().iter().zip(core.interface.bindings.iter()) {
+            let memory = bound.memory;
+            let wanted_bytes = u64::from(binding.uniform_bytes.unwrap_or(0));
             assert!(
                 memory.bound_bytes >= wanted_bytes,
                 "kernel {}: buffer {} of {} bytes, the shader reads {wanted_bytes} of '{}'",
@@ -242,7 +236,7 @@ impl Recorder {
             );
             self.use_buffer(memory);
         }
-        self.list.use_kernel(core, push);
+        self.list.use_kernel(core, bytes_of(&push));
     }
 
     fn use_buffer(&mut self, memory: &Arc<BufferMemory>) {
@@ -253,46 +247,4 @@ impl Recorder {
         );
         self.list.use_buffer(memory);
     }
-}
-
-/// Index in `buffers` of each of the kernel's bindings. Callers give a kernel's buffers in one
-/// order, so the indices that were found first are compared and not searched again.
-///
-/// # Panics
-/// Panics if a name is not the kernel's, comes twice, or a binding is not given.
-fn resolve<'a>(core: &'a KernelCore, buffers: &[(&str, Bound<'_>)]) -> Cow<'a, [u8]> {
-    let names = || core.bindings.iter().map(|binding| binding.name.as_str());
-    let known = core.indices.get().filter(|indices| {
-        let given = |&index: &u8| buffers.get(usize::from(index)).map(|(name, _)| *name);
-        indices.len() == buffers.len() && indices.iter().map(given).eq(names().map(Some))
-    });
-    if let Some(known) = known {
-        return Cow::Borrowed(known);
-    }
-    if let Some((name, _)) = buffers
-        .iter()
-        .find(|(name, _)| names().all(|known| known != *name))
-    {
-        panic!(
-            "kernel {}: no binding '{name}', it has {:?}",
-            core.name,
-            core.binding_names()
-        );
-    }
-    let index = |wanted: &str| {
-        let mut given = (0_u8..)
-            .zip(buffers)
-            .filter(|(_, (name, _))| *name == wanted);
-        let (Some((index, _)), None) = (given.next(), given.next()) else {
-            panic!(
-                "kernel {}: binding '{wanted}' is not given exactly once",
-                core.name
-            );
-        };
-        index
-    };
-    let found: Vec<u8> = names().map(index).collect();
-    // Another thread may have been first, with an order of its own.
-    let _ = core.indices.set(found.clone());
-    Cow::Owned(found)
 }

@@ -1,17 +1,17 @@
-//! The frame: [`record_frame`] and its parts record the stages in the order they run.
+//! The frame: [`record_frame`] records the stages in the order they run. What a stage returns, the
+//! stages behind it take.
 
 use decouplegs_gpu::Recorder;
 
-use crate::frame_buffers::{FrameBuffers, FrameShape};
+use crate::frame_buffers::FrameBuffers;
 use crate::kept_lists::{Kept, ListSource};
-use crate::kernels::{FrameStages, ImageStages};
+use crate::kernels::{BackgroundStages, FrameStages, ImageStages};
 use crate::keys::KeyDecision;
 use crate::options::RenderOptions;
-use crate::output::OutputBuffers;
 use crate::slot::FrameInFlight;
 use crate::stages::{
-    AgentCounts, Blend, Counted, FrameData, HostWritten, KeptKeys, ListedSplats, PostProcessInputs,
-    Project, ProjectAgents, ProjectInputs, Records, SeenAgents, Segments, Target,
+    AgentCounts, Counted, FrameData, HostWritten, KeptKeys, ListedSplats, PostProcessInputs,
+    ProjectInputs, Records, SeenAgents, Segments, SortedLists, Target, Views,
 };
 use crate::submitted::FrameContents;
 
@@ -51,16 +51,15 @@ pub(crate) fn record_agents(
     }
     recorder.stage("agents", |r| {
         slot.copy_agents(r, counts, contents.view.lenses.len());
-        agents.cull.record(r, pool, slot.agents(), counts);
+        let visible = agents.cull.record(r, pool, slot.agents(), counts);
         let AgentCounts {
             cameras, clusters, ..
         } = counts;
-        stages.common.scan.record(
-            r,
-            &slot.agents().visible.counts,
-            &slot.agents().offsets,
-            cameras * clusters,
-        );
+        let (offsets, lists) = (&slot.agents().offsets, cameras * clusters);
+        stages
+            .common
+            .scan
+            .record(r, &visible.counts, offsets, lists);
     });
 }
 
@@ -72,80 +71,124 @@ pub(crate) fn record_frame(
     slot: &FrameInFlight,
     input: FrameInput<'_>,
 ) {
+    let (r, common) = (recorder, &stages.common);
+    let FrameInput { contents, keys, .. } = input;
+    let (gpu_scene, counters) = (&contents.gpu_scene, &frame.counters);
+    let lists = frame.shape.cameras * frame.shape.clusters;
+
     let (written, counted) = begin_buffers(frame, slot, input);
-    recorder.stage("begin", |r| stages.common.begin.record(r, written, counted));
-    if let Some(key_splats) = stages
-        .common
-        .key_splats
-        .as_ref()
-        .filter(|_| !input.keys.find.is_empty())
-    {
-        recorder.stage("key splats", |r| {
-            for &wanted in &input.keys.find {
-                let gpu_scene = &input.contents.gpu_scene;
-                key_splats.record(r, gpu_scene, &frame.cameras, wanted, &input.keys.kept);
+    let views = r.stage("begin", |r| common.begin.record(r, written, counted));
+    if let Some(key_splats) = (common.key_splats.as_ref()).filter(|_| !keys.find.is_empty()) {
+        r.stage("key splats", |r| {
+            for &wanted in &keys.find {
+                key_splats.record(r, gpu_scene, views.cameras, wanted, &keys.kept);
             }
         });
     }
+
+    // With kept lists, records of the background are those of an earlier frame.
+    let (mut offsets, mut projected) = (&frame.offsets, &frame.projected);
     if input.lists != ListSource::Kept {
-        record_background(recorder, stages, frame, slot, input);
-    }
-    if let Some(agents) = &stages.agents {
-        recorder.stage("project agents", |r| {
-            project_agents(r, &agents.project, frame, slot, input);
+        let BackgroundStages { cull, project } = &stages.background;
+        let visible = r.stage("cull", |r| cull.record(r, gpu_scene, views, &frame.visible));
+        offsets = r.stage("scan", |r| {
+            common
+                .scan
+                .record(r, &visible.counts, &frame.offsets, lists)
+        });
+        let inputs = ProjectInputs {
+            visible,
+            offsets,
+            kept: KeptKeys {
+                sets: &frame.key_sets,
+                keys: &keys.kept,
+            },
+            shadows: &slot.shadows,
+            shadow_count: contents.shadow_count,
+            flow_interval_s: input.options.flow_interval_s as f32,
+        };
+        projected = r.stage("project", |r| {
+            project.record(r, gpu_scene, views, inputs, &frame.projected)
         });
     }
-    record_lists(recorder, stages, frame, slot, input);
-    record_images(recorder, stages, frame, slot, input);
-    recorder.stage("end", |r| {
-        r.copy(&frame.counters.required, 0, &slot.found_required, 0, 1);
+    if let Some(agents) = &stages.agents {
+        projected = r.stage("project agents", |r| match seen_agents(slot, input) {
+            Some(seen) => agents.project.record(r, seen, offsets, lists, projected),
+            None => projected,
+        });
+    }
+
+    let records = Records {
+        cameras: views.cameras,
+        camera_count: views.count,
+        projected,
+        static_offsets: offsets,
+        static_clusters: frame.shape.clusters,
+        moving_offsets: &slot.agents().offsets,
+        moving_clusters: contents.agent_counts().clusters,
+        moving_only: false,
+        other_keys: &projected.keys,
+    };
+    let sorted = record_lists(r, stages, frame, slot, input, records);
+    let capacity = &frame.shape.capacity;
+    let plan = r.stage("plan", |r| {
+        let plan_segments = &common.plan_segments;
+        plan_segments.record(r, counters, sorted.lists, capacity, &frame.plan)
+    });
+    let planned = Planned {
+        views,
+        splats: ListedSplats {
+            records: sorted.records,
+            projected,
+        },
+        segments: Segments {
+            counters,
+            plan,
+            partials: &frame.partials,
+        },
+    };
+    record_images(r, stages, frame, slot, contents, planned);
+    r.stage("end", |r| {
+        r.copy(&counters.required, 0, &slot.found_required, 0, 1);
     });
 }
 
-/// Records the sort of records to lists of coarse tiles: of all of them, or of those of agents,
-/// whose lists are merged with the kept ones of the background.
-fn record_lists(
+/// Splats in sorted lists, and the segments of the lists that are blended.
+#[derive(Clone, Copy)]
+struct Planned<'a> {
+    views: Views<'a>,
+    splats: ListedSplats<'a>,
+    segments: Segments<'a>,
+}
+
+/// Records the sort of `records` to lists of coarse tiles: of all of them, or of those of agents,
+/// whose lists are merged with the kept ones of the background. Returns what is to be blended.
+fn record_lists<'a>(
     recorder: &mut Recorder,
     stages: &FrameStages,
-    frame: &FrameBuffers,
+    frame: &'a FrameBuffers,
     slot: &FrameInFlight,
     input: FrameInput<'_>,
-) {
+    records: Records<'_>,
+) -> SortedLists<'a> {
     let (counters, bins) = (&frame.counters, frame.shape.bins);
-    let all = Records {
-        cameras: &frame.cameras,
-        camera_count: frame.shape.cameras,
-        projected: &frame.projected,
-        static_offsets: &frame.offsets,
-        static_clusters: frame.shape.clusters,
-        moving_offsets: &slot.agents().offsets,
-        moving_clusters: input.contents.agent_counts().clusters,
-        moving_only: false,
-        other_keys: &frame.projected.keys,
-    };
     let (sort, own) = (&stages.common.tile_sort, &frame.tile_sort);
     let (Some(merge), Some(Kept { buffers, .. })) =
         (&stages.common.merge_lists, frame.kept_lists.kept())
     else {
-        sort.record(recorder, counters, all, own, bins);
-        return;
+        return sort.record(recorder, counters, records, own, bins);
     };
     let all = Records {
         other_keys: &buffers.other_keys,
-        ..all
+        ..records
     };
     if input.lists == ListSource::Found {
         let background = Records {
             moving_clusters: 0,
             ..all
         };
-        sort.record(
-            recorder,
-            counters,
-            background,
-            &buffers.kept_sort(own),
-            bins,
-        );
+        let kept = buffers.kept_sort(own);
+        sort.record(recorder, counters, background, &kept, bins);
         recorder.stage("keep lists", |r| {
             r.copy(&counters.required, 0, &buffers.kept_required, 0, 1);
             let (written, counted) = begin_buffers(frame, slot, input);
@@ -156,12 +199,11 @@ fn record_lists(
         moving_only: true,
         ..all
     };
-    sort.record(recorder, counters, agents, own, bins);
+    let moving = sort.record(recorder, counters, agents, own, bins);
     recorder.stage("merge", |r| {
-        let moving = own.lists_of(bins);
-        merge.record_plan(r, counters, moving, buffers, slot.drawn_alone());
-        merge.record(r, counters, own, &frame.projected, buffers);
-    });
+        merge.record_plan(r, counters, moving.lists, buffers, slot.drawn_alone());
+        merge.record(r, counters, moving, all.projected, buffers)
+    })
 }
 
 /// Buffers with which a frame begins: what the host wrote, and what is counted.
@@ -192,172 +234,86 @@ fn begin_buffers<'a>(
     (written, counted)
 }
 
-/// Records culling and projection of the background.
-fn record_background(
-    recorder: &mut Recorder,
-    stages: &FrameStages,
-    frame: &FrameBuffers,
-    slot: &FrameInFlight,
-    input: FrameInput<'_>,
-) {
-    let FrameShape {
-        cameras: camera_count,
-        clusters,
-        ..
-    } = frame.shape;
-    let background = &stages.background;
-    recorder.stage("cull", |r| {
-        let cull = &background.cull;
-        cull.record(r, &input.contents.gpu_scene, frame.views(), &frame.visible);
-    });
-    recorder.stage("scan", |r| {
-        stages.common.scan.record(
-            r,
-            &frame.visible.counts,
-            &frame.offsets,
-            camera_count * clusters,
-        );
-    });
-    recorder.stage("project", |r| {
-        project_background(r, &background.project, frame, slot, input);
-    });
-}
-
-/// Records the projection of the background.
-fn project_background(
-    recorder: &mut Recorder,
-    project: &Project,
-    frame: &FrameBuffers,
-    slot: &FrameInFlight,
-    input: FrameInput<'_>,
-) {
-    let inputs = ProjectInputs {
-        visible: &frame.visible,
-        offsets: &frame.offsets,
-        kept: KeptKeys {
-            sets: &frame.key_sets,
-            keys: &input.keys.kept,
-        },
-        shadows: &slot.shadows,
-        shadow_count: input.contents.shadow_count,
-        flow_interval_s: input.options.flow_interval_s as f32,
-    };
-    project.record(
-        recorder,
-        &input.contents.gpu_scene,
-        frame.views(),
-        inputs,
-        &frame.projected,
-    );
-}
-
-/// Records the projection of the agents, if there are some.
-fn project_agents(
-    recorder: &mut Recorder,
-    project: &ProjectAgents,
-    frame: &FrameBuffers,
-    slot: &FrameInFlight,
-    input: FrameInput<'_>,
-) {
-    let Some(list) = &input.contents.agents else {
-        return;
-    };
-    let agents = SeenAgents {
+/// Agents of the frame that are projected; `None` where no camera may see one.
+fn seen_agents<'a>(slot: &'a FrameInFlight, input: FrameInput<'a>) -> Option<SeenAgents<'a>> {
+    let list = input.contents.agents.as_ref()?;
+    Some(SeenAgents {
         pool: &list.pool,
         buffers: slot.agents(),
         relit: &slot.relit.colors,
         counts: list.counts,
         fog: input.contents.gpu_scene.fog.as_ref(),
         flow_interval_s: input.options.flow_interval_s as f32,
-    };
-    let static_lists = frame.shape.cameras * frame.shape.clusters;
-    project.record(
-        recorder,
-        agents,
-        &frame.offsets,
-        static_lists,
-        &frame.projected,
-    );
+    })
 }
 
-/// Blends sorted lists to images.
+/// Records the blending of what is `planned` to the images in `slot`.
 fn record_images(
     recorder: &mut Recorder,
     stages: &FrameStages,
     frame: &FrameBuffers,
     slot: &FrameInFlight,
-    input: FrameInput<'_>,
+    contents: &FrameContents,
+    planned: Planned<'_>,
 ) {
-    let FrameShape {
-        capacity,
-        cameras: camera_count,
-        ..
-    } = frame.shape;
-    let counters = &frame.counters;
     // Post-processing writes the images of what is blended.
     let blended = stages
         .post_process
         .as_ref()
         .map(|_| slot.images.with_color_in(&frame.blended));
-    let images = blended.as_ref().unwrap_or(&slot.images);
-    recorder.stage("plan", |r| {
-        stages
-            .common
-            .plan_segments
-            .record(r, counters, frame.lists().0, &capacity, &frame.plan);
+    let target = Target {
+        images: blended.as_ref().unwrap_or(&slot.images),
+        sky: contents.gpu_scene.sky,
+    };
+    blend_images(recorder, &stages.images, planned, target);
+    let Some(post_process) = &stages.post_process else {
+        return;
+    };
+    recorder.stage("post-process", |r| {
+        let (photometry, count) = (&frame.photometry, frame.shape.cameras);
+        r.copy(&slot.staged_photometry, 0, photometry, 0, count);
+        let inputs = PostProcessInputs {
+            cameras: planned.views.cameras,
+            photometry,
+            views: &contents.processed,
+            sky: contents.gpu_scene.sky_map.as_ref(),
+        };
+        post_process.record(r, inputs, &target.images.images_f32, &slot.images);
     });
-    let gpu_scene = &input.contents.gpu_scene;
-    blend_images(recorder, &stages.images, frame, images, gpu_scene.sky);
-    if let Some(post_process) = &stages.post_process {
-        recorder.stage("post-process", |r| {
-            r.copy(
-                &slot.staged_photometry,
-                0,
-                &frame.photometry,
-                0,
-                camera_count,
-            );
-            let inputs = PostProcessInputs {
-                cameras: &frame.cameras,
-                photometry: &frame.photometry,
-                views: &input.contents.processed,
-                sky: gpu_scene.sky_map.as_ref(),
-            };
-            post_process.record(r, inputs, &frame.blended, &slot.images);
-        });
-    }
 }
 
-/// Records the blending of the planned segments over `sky` into `images`.
+/// Records the blending of what is `planned` to `target`.
 fn blend_images(
     recorder: &mut Recorder,
     stages: &ImageStages,
-    frame: &FrameBuffers,
-    images: &OutputBuffers,
-    sky: [f32; 3],
+    planned: Planned<'_>,
+    target: Target<'_>,
 ) {
-    let (views, target) = (frame.views(), Target { images, sky });
-    let splats = ListedSplats {
-        records: frame.lists().1,
-        projected: &frame.projected,
-    };
-    let segments = Segments {
-        counters: &frame.counters,
-        plan: &frame.plan,
-        partials: &frame.partials,
-    };
-    let blend = |r: &mut Recorder, blend: &Blend| {
-        blend.record(r, views, splats, segments, target);
-    };
-    recorder.stage("blend", |r| blend(r, &stages.blend));
-    recorder.stage("composite", |r| {
-        let composite = &stages.composite;
-        composite.record(r, views, &frame.projected, segments, target);
+    let (
+        r,
+        ImageStages {
+            blend, composite, ..
+        },
+    ) = (recorder, stages);
+    let Planned {
+        views,
+        splats,
+        segments,
+    } = planned;
+    let partial = r.stage("blend", |r| {
+        blend.record(r, views, splats, segments, target)
+    });
+    let unfinished = r.stage("composite", |r| {
+        composite.record(r, views, splats.projected, partial, target)
     });
     if let Some(finish) = &stages.finish {
-        recorder.stage("finish", |r| blend(r, finish));
+        r.stage("finish", |r| {
+            finish.record(r, views, splats, unfinished, target)
+        });
     }
-    if let Some(finish_medians) = &stages.finish_medians {
-        recorder.stage("medians", |r| blend(r, finish_medians));
+    if let Some(finish) = &stages.finish_medians {
+        r.stage("medians", |r| {
+            finish.record(r, views, splats, unfinished, target)
+        });
     }
 }

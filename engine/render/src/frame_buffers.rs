@@ -3,13 +3,13 @@
 use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 
 use crate::capacity::Capacity;
-use crate::kept_lists::{Kept, KeptLists};
+use crate::kept_lists::KeptLists;
 use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord};
 use crate::options::RenderOptions;
 use crate::post_processing::PhotometryRecord;
 use crate::stages::{
-    FrameCounters, PURPOSE, PartialResults, Plan, Projected, RecordContents, TileLists,
-    TileSortBuffers, Views, Visible,
+    FrameCounters, PURPOSE, PartialResults, Plan, Projected, RecordContents, TileSortBuffers,
+    Visible,
 };
 
 /// Counts that determine the size of a frame's buffers.
@@ -99,24 +99,6 @@ impl FrameBuffers {
             photometry: gpu.buffer("photometry", PURPOSE, cameras, device)?,
             kept_lists: KeptLists::default(),
         })
-    }
-
-    /// The cameras of the frame.
-    pub fn views(&self) -> Views<'_> {
-        Views {
-            cameras: &self.cameras,
-            lenses: &self.lenses,
-            count: self.shape.cameras,
-        }
-    }
-
-    /// The lists that are blended, and the buffer of their records.
-    pub fn lists(&self) -> (TileLists<'_>, &Buffer<u32>) {
-        let (sort, bins) = (&self.tile_sort, self.shape.bins);
-        match self.kept_lists.kept() {
-            Some(Kept { buffers, .. }) => (buffers.lists_of(bins), &buffers.sorted_records),
-            None => (sort.lists_of(bins), &sort.sorted_records),
-        }
     }
 
     /// Shape that the buffers were allocated for.

@@ -11,6 +11,7 @@ mod contributions;
 mod error;
 mod frame;
 mod frame_buffers;
+mod interfaces;
 mod kept_lists;
 mod kernels;
 mod keys;

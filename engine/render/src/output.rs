@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use bytemuck::Pod;
-use decouplegs_gpu::{Bound, Buffer, Constant, Gpu, GpuError, MemoryKind};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 
 use crate::plane::{Plane, Planes};
 
@@ -37,13 +37,6 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    pub(crate) fn constants(&self) -> impl Iterator<Item = (&'static str, Constant)> {
-        let planes = self.planes;
-        let color = ("COLOR_U8", Constant::Bool(self.color == ColorFormat::U8));
-        let plane = move |plane: Plane| (plane.constant(), Constant::Bool(planes.contains(plane)));
-        std::iter::once(color).chain(Plane::ALL.into_iter().map(plane))
-    }
-
     /// Words per pixel of the planes in the partial result of a segment.
     pub(crate) fn partial_plane_words(&self) -> usize {
         self.planes.iter().map(Plane::partial_words).sum()
@@ -129,14 +122,6 @@ impl OutputBuffers {
     #[must_use]
     pub fn pixels(&self) -> usize {
         self.pixels
-    }
-
-    pub(crate) fn bindings(&self) -> [(&'static str, Bound<'_>); 3] {
-        [
-            ("images_f32", self.images_f32.binding()),
-            ("images_u8", self.images_u8.binding()),
-            ("planes", self.planes.binding()),
-        ]
     }
 }
 

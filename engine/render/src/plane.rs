@@ -8,8 +8,6 @@
 
 use std::collections::BTreeMap;
 
-use decouplegs_gpu::Constant;
-
 /// A plane of an image beside its color.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Plane {
@@ -123,21 +121,6 @@ impl Plane {
         matches!(self, Self::DepthMedian | Self::RangeMedian)
     }
 
-    /// Name of the specialization constant that turns it on.
-    pub(crate) const fn constant(self) -> &'static str {
-        match self {
-            Self::Depth => "DEPTH",
-            Self::Instance => "INSTANCE",
-            Self::Range => "RANGE",
-            Self::Normal => "NORMAL",
-            Self::FlowForward => "FLOW_FORWARD",
-            Self::FlowBackward => "FLOW_BACKWARD",
-            Self::SceneFlow => "SCENE_FLOW",
-            Self::DepthMedian => "DEPTH_MEDIAN",
-            Self::RangeMedian => "RANGE_MEDIAN",
-        }
-    }
-
     /// True if the values are means of an attribute that records hold for it.
     pub(crate) const fn is_attribute(self) -> bool {
         matches!(
@@ -192,12 +175,6 @@ impl Planes {
     pub fn attribute_words(self) -> usize {
         let attributes = self.iter().filter(|plane| plane.is_attribute());
         attributes.map(Plane::channels).sum()
-    }
-
-    /// Specialization constants of kernels that make the attributes of the set.
-    pub(crate) fn attribute_constants(self) -> impl Iterator<Item = (&'static str, Constant)> {
-        let attributes = Plane::ALL.into_iter().filter(|plane| plane.is_attribute());
-        attributes.map(move |plane| (plane.constant(), Constant::Bool(self.contains(plane))))
     }
 
     /// Words per pixel of all planes of the set.

@@ -13,7 +13,6 @@
 //! Means and opacities are never rounded: order, and whether a splat reaches 1/255, stay what they
 //! are. An opacity below 1/255, which no pixel shows, is stored as 0.
 
-use decouplegs_gpu::Constant;
 use decouplegs_scene::{SplatCloud, sh};
 use decouplegs_shaders::constants::{
     OPACITY_BIAS, OPACITY_BITS, SCALE_BIAS, SCALE_BITS, SCALE_LOW_BITS,
@@ -70,11 +69,6 @@ impl Storage {
             None => 3,
             Some(bits) => sh_codec::words_for(2 * band + 1, bits),
         }
-    }
-
-    /// The kernels' constant.
-    pub(crate) fn constant(self) -> (&'static str, Constant) {
-        ("COMPACT", Constant::Bool(self == Self::Compact))
     }
 
     /// Bytes of one splat with colors of degree `sh_degree`, without the boxes of clusters and the

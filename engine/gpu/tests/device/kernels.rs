@@ -1,23 +1,27 @@
-//! Kernels: constants and bindings by name, layouts, and what is refused.
+//! Kernels: constants, buffers, kernels on trial, and what is refused.
 
 use std::fs;
 
 use decouplegs_gpu::{
-    Access, Constant, DeviceOptions, Gpu, GpuError, KernelCache, MemoryKind, QueueRole, Recorder,
+    DeviceOptions, Gpu, GpuError, Kernel, KernelCache, KernelTrial, MemoryKind, QueueRole,
+    Recorder, Shader,
 };
+use decouplegs_spirv::reflect;
 
-use crate::{Watched, bytes, scale, scale_push, spirv};
+use crate::interfaces::{arguments, scale, spin, table};
+use crate::{Watched, constants, from_to, scaling, spirv};
 
 #[test]
-fn constants_are_given_by_name() {
+fn constants_are_members() {
     let gpu = Watched::open();
     let source: Vec<i32> = (0..1000).collect();
-    let constants = [
-        ("NEGATE", Constant::Bool(true)),
-        ("GROUP_SIZE", Constant::U32(32)),
-        ("FACTOR", Constant::U32(3)),
-    ];
-    let kernel = gpu.kernel("scale", &spirv("scale"), &constants).unwrap();
+    let constants = scale::Constants {
+        group_size: 32,
+        factor: 3,
+        negate: true,
+        unused_scale: 1.0,
+    };
+    let kernel: Kernel<scale::Module> = gpu.kernel(&constants).unwrap();
     assert_eq!(kernel.workgroup_size(), [32, 1, 1]);
     println!(
         "subgroups pinned to {}: {}",
@@ -29,94 +33,53 @@ fn constants_are_given_by_name() {
         .buffer::<i32>("target", "test", source.len(), MemoryKind::Device)
         .unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [
-        ("target_values", to.binding()),
-        ("source_values", from.binding()),
-    ];
-    recorder.dispatch(&kernel, &buffers, &scale_push(1000, 7), [32, 1, 1]);
+    let bindings = from_to(&from, &to);
+    recorder.dispatch(
+        &kernel,
+        bindings,
+        scale::Push {
+            count: 1000,
+            add: 7,
+        },
+        [32, 1, 1],
+    );
     gpu.submit(recorder, &[]).unwrap();
     let expected: Vec<i32> = source.iter().map(|value| -(value * 3 + 7)).collect();
     assert_eq!(gpu.read(&to).unwrap(), expected);
 }
 
 #[test]
-fn bindings_say_name_access_and_layout() {
-    let gpu = Watched::open();
-    let kernel = gpu.kernel("layout", &spirv("layout"), &[]).unwrap();
-    let bindings: Vec<(&str, Access)> = kernel
-        .bindings()
-        .iter()
-        .map(|binding| (binding.name.as_str(), binding.access))
-        .collect();
-    // By binding number: the block with an instance name goes by it, the others by their only
-    // member.
-    assert_eq!(
-        bindings,
-        [
-            ("counted", Access::ReadWrite),
-            ("item", Access::Write),
-            ("items", Access::Read)
-        ]
-    );
-    assert_eq!(kernel.workgroup_size(), [8, 4, 2]);
-    let named = |members: &[(&str, u32)]| {
-        Some(
-            members
-                .iter()
-                .map(|(name, offset)| ((*name).to_owned(), *offset))
-                .collect::<Vec<_>>(),
-        )
-    };
-    assert_eq!(
-        kernel.member_offsets("items"),
-        named(&[("mean", 0), ("id", 12), ("extent", 16)])
-    );
-    assert_eq!(
-        kernel.member_offsets("item"),
-        named(&[("mean", 0), ("id", 12), ("extent", 16)])
-    );
-    assert_eq!(
-        kernel.member_offsets("counted"),
-        named(&[("count", 0), ("weights", 4), ("ids", 20)])
-    );
-    assert_eq!(kernel.member_offsets("nothing"), None);
-    assert_eq!(
-        (
-            kernel.element_stride("items"),
-            kernel.element_stride("counted")
-        ),
-        (Some(24), None)
-    );
-    assert_eq!(kernel.push_bytes(), 16 + 3 * 16);
-    assert_eq!(
-        Some(kernel.push_member_offsets().to_vec()),
-        named(&[("origin", 0), ("count", 12), ("turn", 16)])
-    );
-}
-
-#[test]
 fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
     let gpu = Watched::open();
     let source: Vec<i32> = (0..1000).collect();
-    let arguments = gpu.kernel("arguments", &spirv("arguments"), &[]).unwrap();
-    let kernel = scale(&gpu, 2);
+    let arguments: Kernel<arguments::Module> = gpu.kernel(&arguments::Constants {}).unwrap();
+    let kernel = scaling(&gpu, 2);
     let from = gpu.upload("source", "test", &source).unwrap();
     let to = gpu
         .upload("target", "test", &vec![-1; source.len()])
         .unwrap();
     let words = gpu.upload("arguments", "test", &[0_u32; 8]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.dispatch(
-        &arguments,
-        &[("arguments", words.binding())],
-        &bytes(&[700, 64, 4]),
-        [1, 1, 1],
+    let bindings = arguments::Bindings {
+        arguments: words.bound(),
+    };
+    let push = arguments::Push {
+        count: 700,
+        group_size: 64,
+        first_word: 4,
+    };
+    recorder.dispatch(&arguments, bindings, push, [1, 1, 1]);
+    let bindings = from_to(&from, &to);
+    recorder.dispatch_indirect(
+        &kernel,
+        bindings,
+        scale::Push {
+            count: 1000,
+            add: 0,
+        },
+        &words,
+        16,
     );
-    let buffers = [
-        ("source_values", from.binding()),
-        ("target_values", to.binding()),
-    ];
-    recorder.dispatch_indirect(&kernel, &buffers, &scale_push(1000, 0), words.binding(), 16);
     gpu.submit(recorder, &[]).unwrap();
     // 700 invocations in groups of 64 are 11 groups: 704 values.
     let expected: Vec<i32> = source
@@ -128,38 +91,83 @@ fn indirect_dispatch_reads_its_arguments_behind_their_writer() {
 }
 
 #[test]
-fn what_is_no_storage_buffer_and_what_is_no_spirv_is_refused() {
+fn a_workgroup_that_is_too_large_is_refused() {
     let gpu = Watched::open();
-    let refusal = |words: &[u32]| match gpu.kernel("refused", words, &[]) {
-        Err(error @ GpuError::Kernel { .. }) => error.to_string(),
-        other => panic!("expected a refusal, got {other:?}"),
+    let max = gpu.limits().workgroup_threads_max;
+    let built: Result<Kernel<scale::Module>, GpuError> = gpu.kernel(&scale::Constants {
+        group_size: max + 1,
+        ..constants(2)
+    });
+    let error = built.unwrap_err().to_string();
+    assert!(error.contains(&format!("1 to {max}")), "{error}");
+}
+
+#[test]
+fn interfaces_are_those_of_the_modules() {
+    fn same<S: Shader>() {
+        assert_eq!(reflect(S::spirv()).unwrap(), S::INTERFACE, "{}", S::NAME);
+    }
+    same::<scale::Module>();
+    same::<spin::Module>();
+    same::<table::Module>();
+    same::<arguments::Module>();
+}
+
+/// A kernel on trial takes the place of the program's where it takes the same buffers, and is
+/// refused where it does not.
+#[test]
+fn a_kernel_on_trial_takes_what_the_program_gives() {
+    let folder = std::env::temp_dir().join(format!("decouplegs-trial-{}", std::process::id()));
+    fs::create_dir_all(&folder).unwrap();
+    let tried = |name: &str, words: &[u32], constants_text: &str| {
+        fs::write(folder.join(name), bytemuck::cast_slice::<u32, u8>(words)).unwrap();
+        fs::write(folder.join("constants.txt"), constants_text).unwrap();
+        let options = DeviceOptions {
+            trial: KernelTrial::from_folder(&folder).unwrap(),
+            ..DeviceOptions::default()
+        };
+        let gpu = Gpu::open(&options).unwrap();
+        let kernel: Kernel<scale::Module> = gpu.kernel(&constants(2))?;
+        let values = gpu.upload("values", "test", &[1_i32; 64]).unwrap();
+        let to = gpu.upload("target", "test", &[0_i32; 64]).unwrap();
+        let mut recorder = gpu.record(QueueRole::Main);
+        let push = scale::Push { count: 64, add: 5 };
+        recorder.dispatch(&kernel, from_to(&values, &to), push, [1, 1, 1]);
+        gpu.submit(recorder, &[]).unwrap();
+        Ok::<i32, GpuError>(gpu.read(&to).unwrap()[63])
     };
-    assert!(
-        refusal(&spirv("texture")).contains("picture is neither a storage nor a uniform buffer")
+    assert_eq!(tried("scale.spv", spirv("scale"), "").unwrap(), 7);
+    assert_eq!(
+        tried("scale.spv", spirv("scale"), "scale.FACTOR=4").unwrap(),
+        9
     );
-    assert!(refusal(&[1, 2, 3]).contains("not a SPIR-V module"));
-    let large = Constant::U32(gpu.limits().workgroup_threads_max + 1);
-    let error = gpu
-        .kernel("scale", &spirv("scale"), &[("GROUP_SIZE", large)])
-        .unwrap_err()
-        .to_string();
+    let refused = |words: &[u32]| tried("scale.spv", words, "").unwrap_err().to_string();
+    let error = refused(spirv("spin"));
+    assert!(error.starts_with("scale.spv: expected buffers"), "{error}");
+    assert!(error.contains("0 source_values: i32"), "{error}");
+    assert!(error.contains("0 values: u32"), "{error}");
+    let error = refused(&spirv("scale")[..20]);
     assert!(
-        error.contains(&format!("1 to {}", gpu.limits().workgroup_threads_max)),
+        error.contains("scale.spv: the SPIR-V module is cut off"),
         "{error}"
     );
+    fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
 fn uniform_buffers_are_read_behind_their_writer() {
     let gpu = Watched::open();
-    let kernel = gpu.kernel("table", &spirv("table"), &[]).unwrap();
+    let kernel: Kernel<table::Module> = gpu.kernel(&table::Constants {}).unwrap();
     let table: Vec<i32> = (1..=20).collect();
     let table = gpu.upload("table", "test", &table).unwrap();
     let values = gpu.upload("values", "test", &[0_i32; 64]).unwrap();
-    let bound = [("table", table.binding()), ("values", values.binding())];
+    let bindings = || table::Bindings {
+        table: table.bound(),
+        values: values.bound(),
+    };
     let fill_and_read = |mut recorder: Recorder| {
-        recorder.fill(table.binding(), 0, 4, 7);
-        recorder.dispatch(&kernel, &bound, &[], [1, 1, 1]);
+        recorder.fill(&table, 0, 4, 7);
+        recorder.dispatch(&kernel, bindings(), table::Push {}, [1, 1, 1]);
         gpu.submit(recorder, &[]).unwrap().wait().unwrap();
         gpu.take_validation_messages()
     };
@@ -178,92 +186,36 @@ fn uniform_buffers_are_read_behind_their_writer() {
 #[should_panic(expected = "buffer table of 16 bytes, the shader reads 64 of 'table'")]
 fn a_uniform_buffer_that_is_too_short_asserts() {
     let gpu = Watched::open();
-    let kernel = gpu.kernel("table", &spirv("table"), &[]).unwrap();
+    let kernel: Kernel<table::Module> = gpu.kernel(&table::Constants {}).unwrap();
     let table = gpu.upload("table", "test", &[1; 4]).unwrap();
     let values = gpu.upload("values", "test", &[0_i32; 64]).unwrap();
-    let bound = [("table", table.binding()), ("values", values.binding())];
+    let bindings = || table::Bindings {
+        table: table.bound(),
+        values: values.bound(),
+    };
     gpu.record(QueueRole::Main)
-        .dispatch(&kernel, &bound, &[], [1, 1, 1]);
-}
-
-/// Dispatches `scale` with names and sizes that may be wrong.
-fn dispatch(names: &[&str], push_bytes: usize, groups: [u32; 3]) {
-    let gpu = Watched::open();
-    let buffer = gpu.upload("values", "test", &[1_i32; 64]).unwrap();
-    let buffers: Vec<_> = names.iter().map(|name| (*name, buffer.binding())).collect();
-    gpu.record(QueueRole::Main)
-        .dispatch(&scale(&gpu, 2), &buffers, &vec![0; push_bytes], groups);
-}
-
-#[test]
-#[should_panic(
-    expected = "no binding 'sauce_values', it has [\"source_values\", \"target_values\"]"
-)]
-fn a_wrong_binding_name_asserts() {
-    dispatch(&["sauce_values", "target_values"], 8, [1, 1, 1]);
-}
-
-#[test]
-#[should_panic(expected = "binding 'target_values' is not given exactly once")]
-fn a_missing_binding_asserts() {
-    dispatch(&["source_values"], 8, [1, 1, 1]);
-}
-
-#[test]
-#[should_panic(expected = "binding 'source_values' is not given exactly once")]
-fn a_binding_given_twice_asserts() {
-    dispatch(
-        &["source_values", "target_values", "source_values"],
-        8,
-        [1, 1, 1],
-    );
-}
-
-#[test]
-#[should_panic(expected = "12 bytes of push constants given, the shader declares 8")]
-fn push_constants_of_another_size_assert() {
-    dispatch(&["source_values", "target_values"], 12, [1, 1, 1]);
+        .dispatch(&kernel, bindings(), table::Push {}, [1, 1, 1]);
 }
 
 #[test]
 #[should_panic(expected = "workgroups, the device runs at most")]
 fn too_many_workgroups_assert() {
-    dispatch(&["source_values", "target_values"], 8, [1, u32::MAX, 1]);
-}
-
-#[test]
-#[should_panic(
-    expected = "no specialization constant 'FAKTOR', it has [\"GROUP_SIZE\", \"FACTOR\""
-)]
-fn an_unknown_constant_asserts() {
     let gpu = Watched::open();
-    let _ = gpu.kernel("scale", &spirv("scale"), &[("FAKTOR", Constant::U32(1))]);
-}
-
-#[test]
-#[should_panic(
-    expected = "specialization constant 'FACTOR' is U32 in the shader, given is F32(1.0)"
-)]
-fn a_constant_of_another_type_asserts() {
-    let gpu = Watched::open();
-    let of_factor = |factor| gpu.kernel("scale", &spirv("scale"), &[("FACTOR", factor)]);
-    // A kernel whose constant has the same bits is not the one asked for.
-    of_factor(Constant::U32(1.0_f32.to_bits())).unwrap();
-    let _ = of_factor(Constant::F32(1.0));
+    let values = gpu.upload("values", "test", &[1_i32; 64]).unwrap();
+    let push = scale::Push { count: 64, add: 0 };
+    let mut recorder = gpu.record(QueueRole::Main);
+    let bindings = from_to(&values, &values);
+    recorder.dispatch(&scaling(&gpu, 2), bindings, push, [1, u32::MAX, 1]);
 }
 
 #[test]
 fn equal_kernels_are_built_once() {
     let gpu = Watched::open();
     let built = |factor| {
-        scale(&gpu, factor);
+        scaling(&gpu, factor);
         gpu.kernel_counts().built
     };
     assert_eq!([2, 2, 3, 2].map(built), [1, 1, 2, 2]);
-    let layout = spirv("layout");
-    gpu.kernel("layout", &layout, &[]).unwrap();
-    gpu.kernel("layout of others", &layout, &[]).unwrap();
-    assert_eq!(gpu.kernel_counts().built, 4, "errors tell kernels by name");
 }
 
 /// Kernels are kept in a file that the next start reads; a damaged one is ignored and replaced.
@@ -276,7 +228,7 @@ fn a_second_start_finds_kernels_that_were_kept() {
             ..DeviceOptions::default()
         };
         let gpu = Gpu::open(&options).unwrap();
-        let kernel = scale(&gpu, 2);
+        let kernel = scaling(&gpu, 2);
         let counts = gpu.kernel_counts();
         drop(kernel);
         assert_eq!(gpu.take_validation_messages(), Vec::<String>::new());

@@ -2,6 +2,7 @@
 //! synchronization validation.
 
 mod drills;
+mod interfaces;
 mod kernels;
 mod memory;
 mod opening;
@@ -9,7 +10,8 @@ mod ordering;
 
 use std::ops::Deref;
 
-use decouplegs_gpu::{Constant, DeviceOptions, Gpu, Kernel, QueueUse};
+use decouplegs_gpu::{Buffer, DeviceOptions, Gpu, Kernel, QueueUse};
+use interfaces::scale;
 
 /// On, unless a machine without the layers says `DECOUPLEGS_VALIDATION=0`: then the tests of what
 /// validation sees fail.
@@ -53,44 +55,39 @@ impl Drop for Watched {
     }
 }
 
-/// The words of one of `tests/kernels`.
-fn words(bytes: &[u8]) -> Vec<u32> {
-    bytes
-        .chunks_exact(4)
-        .map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
-        .collect()
-}
-
-fn spirv(name: &str) -> Vec<u32> {
-    words(match name {
+/// The words of one of `tests/kernels`, which stay until the tests end.
+fn spirv(name: &str) -> &'static [u32] {
+    let bytes: &[u8] = match name {
         "arguments" => include_bytes!("../kernels/arguments.spv"),
-        "layout" => include_bytes!("../kernels/layout.spv"),
         "scale" => include_bytes!("../kernels/scale.spv"),
         "spin" => include_bytes!("../kernels/spin.spv"),
         "table" => include_bytes!("../kernels/table.spv"),
-        "texture" => include_bytes!("../kernels/texture.spv"),
         _ => panic!("no test kernel {name}"),
-    })
+    };
+    let (words, _) = bytes.as_chunks::<4>();
+    let words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
+    words.leak()
 }
 
 /// `target = source * factor + add`, in groups of 64.
-fn scale(gpu: &Gpu, factor: u32) -> Kernel {
-    gpu.kernel(
-        "scale",
-        &spirv("scale"),
-        &[
-            ("GROUP_SIZE", Constant::U32(64)),
-            ("FACTOR", Constant::U32(factor)),
-        ],
-    )
-    .unwrap()
+fn scaling(gpu: &Gpu, factor: u32) -> Kernel<scale::Module> {
+    gpu.kernel(&constants(factor)).unwrap()
 }
 
-/// Push constants of `scale`.
-fn scale_push(count: u32, add: i32) -> Vec<u8> {
-    bytes(&[count, add as u32])
+/// Constants of `scale` for a factor.
+fn constants(factor: u32) -> scale::Constants {
+    scale::Constants {
+        group_size: 64,
+        factor,
+        negate: false,
+        unused_scale: 1.0,
+    }
 }
 
-fn bytes(words: &[u32]) -> Vec<u8> {
-    words.iter().flat_map(|word| word.to_ne_bytes()).collect()
+/// Buffers of `scale`.
+fn from_to<'a>(from: &'a Buffer<i32>, to: &'a Buffer<i32>) -> scale::Bindings<'a> {
+    scale::Bindings {
+        source_values: from.bound(),
+        target_values: to.bound(),
+    }
 }

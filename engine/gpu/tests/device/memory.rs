@@ -2,7 +2,8 @@
 
 use decouplegs_gpu::{Buffer, GpuError, MemoryKind, QueueRole};
 
-use crate::{Watched, scale, scale_push};
+use crate::interfaces::scale;
+use crate::{Watched, from_to, scaling};
 
 #[test]
 fn what_is_uploaded_is_read_back() {
@@ -34,13 +35,15 @@ fn a_buffer_of_nothing_can_be_bound_copied_and_read() {
     let nothing: Buffer<i32> = gpu.upload("nothing", "test", &[]).unwrap();
     let target = gpu.upload("target", "test", &[5_i32; 4]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [
-        ("source_values", nothing.binding()),
-        ("target_values", target.binding()),
-    ];
-    recorder.dispatch(&scale(&gpu, 2), &buffers, &scale_push(0, 0), [1, 1, 1]);
+    let bindings = from_to(&nothing, &target);
+    recorder.dispatch(
+        &scaling(&gpu, 2),
+        bindings,
+        scale::Push { count: 0, add: 0 },
+        [1, 1, 1],
+    );
     recorder.copy(&nothing, 0, &target, 4, 0);
-    recorder.fill(nothing.binding(), 0, 0, 1);
+    recorder.fill(&nothing, 0, 0, 1);
     gpu.submit(recorder, &[]).unwrap();
     assert_eq!((nothing.len(), gpu.read(&nothing).unwrap()), (0, vec![]));
     assert_eq!(gpu.read(&target).unwrap(), [5; 4]);
@@ -54,7 +57,7 @@ fn fill_and_copy_touch_their_ranges_only() {
         .unwrap();
     let to = gpu.upload("to", "test", &[100_u32; 6]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.fill(from.binding(), 8, 4, 77);
+    recorder.fill(&from, 8, 4, 77);
     recorder.copy(&from, 1, &to, 2, 3);
     recorder.copy(&to, 0, &to, 5, 1);
     gpu.submit(recorder, &[]).unwrap();
@@ -73,11 +76,13 @@ fn mapped_buffers_are_written_and_read_by_the_host() {
     upload.write_host(0, &[3; 100]);
     upload.write_host(50, &[4; 50]);
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [
-        ("source_values", upload.binding()),
-        ("target_values", readback.binding()),
-    ];
-    recorder.dispatch(&scale(&gpu, 10), &buffers, &scale_push(100, 1), [2, 1, 1]);
+    let bindings = from_to(&upload, &readback);
+    recorder.dispatch(
+        &scaling(&gpu, 10),
+        bindings,
+        scale::Push { count: 100, add: 1 },
+        [2, 1, 1],
+    );
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let expected: Vec<i32> = (0..100).map(|i| if i < 50 { 31 } else { 41 }).collect();
     assert_eq!(readback.read_host(), expected);
@@ -126,11 +131,13 @@ fn memory_is_counted_by_purpose_until_the_last_use_is_over() {
     assert_eq!(report.bytes_by_purpose.len(), 2, "{report:?}");
 
     let mut recorder = gpu.record(QueueRole::Main);
-    let buffers = [
-        ("source_values", splats.binding()),
-        ("target_values", image.binding()),
-    ];
-    recorder.dispatch(&scale(&gpu, 2), &buffers, &scale_push(500, 0), [8, 1, 1]);
+    let bindings = from_to(&splats, &image);
+    recorder.dispatch(
+        &scaling(&gpu, 2),
+        bindings,
+        scale::Push { count: 500, add: 0 },
+        [8, 1, 1],
+    );
     // The recorder alone holds buffers and kernel now.
     drop((splats, image));
     assert_eq!(gpu.memory().total_bytes, report.total_bytes);
@@ -143,7 +150,7 @@ fn a_recorder_that_is_never_submitted_gives_back_what_it_held() {
     let gpu = Watched::open();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
-    recorder.fill(values.binding(), 0, 64, 1);
+    recorder.fill(&values, 0, 64, 1);
     drop((values, recorder));
     assert_eq!(gpu.memory().total_bytes, 0);
 }

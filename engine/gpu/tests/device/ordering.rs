@@ -6,18 +6,29 @@ use decouplegs_gpu::{
     Buffer, DeviceOptions, Gpu, Kernel, MemoryKind, QueueRole, QueueUse, Recorder, Ticket,
 };
 
-use crate::{Watched, bytes, scale, scale_push, spirv};
+use crate::interfaces::{scale, spin};
+use crate::{Watched, from_to, scaling};
 
 const COUNT: u32 = 4096;
 
 /// Copies from `a` to `b` and back again to `a`: read after write, write after read.
-fn there_and_back(recorder: &mut Recorder, kernel: &Kernel, a: &Buffer<i32>, b: &Buffer<i32>) {
+fn there_and_back(
+    recorder: &mut Recorder,
+    kernel: &Kernel<scale::Module>,
+    a: &Buffer<i32>,
+    b: &Buffer<i32>,
+) {
     for (from, to) in [(a, b), (b, a)] {
-        let buffers = [
-            ("source_values", from.binding()),
-            ("target_values", to.binding()),
-        ];
-        recorder.dispatch(kernel, &buffers, &scale_push(COUNT, 1), [COUNT / 64, 1, 1]);
+        let bindings = from_to(from, to);
+        recorder.dispatch(
+            kernel,
+            bindings,
+            scale::Push {
+                count: COUNT,
+                add: 1,
+            },
+            [COUNT / 64, 1, 1],
+        );
     }
 }
 
@@ -34,12 +45,12 @@ fn two_buffers(gpu: &Gpu) -> (Buffer<i32>, Buffer<i32>) {
 fn derived_barriers_leave_synchronization_validation_nothing_to_say() {
     let gpu = Watched::open();
     let (a, b) = two_buffers(&gpu);
-    let kernel = scale(&gpu, 2);
+    let kernel = scaling(&gpu, 2);
     let mut recorder = gpu.record(QueueRole::Main);
     for _ in 0..3 {
         there_and_back(&mut recorder, &kernel, &a, &b);
     }
-    recorder.fill(b.binding(), 0, 4, 9);
+    recorder.fill(&b, 0, 4, 9);
     recorder.copy(&b, 0, &a, 1, 1);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let mut expected: Vec<i32> = (0..COUNT as i32)
@@ -55,7 +66,7 @@ fn a_missing_barrier_is_seen_by_synchronization_validation() {
     let gpu = Watched::open();
     let (a, b) = two_buffers(&gpu);
     let mut recorder = gpu.record(QueueRole::Main).without_barriers();
-    there_and_back(&mut recorder, &scale(&gpu, 2), &a, &b);
+    there_and_back(&mut recorder, &scaling(&gpu, 2), &a, &b);
     gpu.submit(recorder, &[]).unwrap().wait().unwrap();
     let messages = gpu.take_validation_messages();
     assert!(
@@ -78,7 +89,7 @@ fn tickets_order_the_queues() {
         let gpu = Watched::open_with(queues);
         println!("update queue of its own: {}", gpu.has_update_queue());
         let (a, b) = two_buffers(&gpu);
-        let kernel = scale(&gpu, 1);
+        let kernel = scaling(&gpu, 1);
         let mut last: Option<Ticket> = None;
         for i in 0..20 {
             let mut recorder = gpu.record(if i % 2 == 0 {
@@ -101,7 +112,7 @@ fn tickets_order_the_queues() {
 #[test]
 fn submitted_work_keeps_what_it_uses() {
     let gpu = Watched::open();
-    let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let readback = gpu
         .buffer::<u32>("readback", "test", 64, MemoryKind::Readback)
         .unwrap();
@@ -109,8 +120,13 @@ fn submitted_work_keeps_what_it_uses() {
     let mut recorder = gpu.record(QueueRole::Main);
     recorder.dispatch(
         &spin,
-        &[("values", values.binding())],
-        &bytes(&[64, 60_000]),
+        spin::Bindings {
+            values: values.bound(),
+        },
+        spin::Push {
+            count: 64,
+            rounds: 60_000,
+        },
         [1, 1, 1],
     );
     recorder.copy(&values, 0, &readback, 0, 64);
@@ -132,13 +148,15 @@ fn loops_run_to_their_end_but_on_llvmpipe() {
     } else {
         rounds
     };
-    let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 64]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     recorder.dispatch(
         &spin,
-        &[("values", values.binding())],
-        &bytes(&[64, rounds]),
+        spin::Bindings {
+            values: values.bound(),
+        },
+        spin::Push { count: 64, rounds },
         [1, 1, 1],
     );
     gpu.submit(recorder, &[]).unwrap();
@@ -155,7 +173,7 @@ fn spun(rounds: u32) -> u32 {
 #[test]
 fn stages_are_timed_in_order_and_do_not_overlap() {
     let gpu = Watched::open();
-    let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 1024]).unwrap();
     // The same slot serves all three, so stale times would show.
     for _ in 0..3 {
@@ -164,8 +182,13 @@ fn stages_are_timed_in_order_and_do_not_overlap() {
             recorder.stage(name, |recorder| {
                 recorder.dispatch(
                     &spin,
-                    &[("values", values.binding())],
-                    &bytes(&[1024, rounds]),
+                    spin::Bindings {
+                        values: values.bound(),
+                    },
+                    spin::Push {
+                        count: 1024,
+                        rounds,
+                    },
                     [16, 1, 1],
                 );
             });
@@ -214,7 +237,7 @@ fn repeats(gpu: &Gpu, body: impl FnOnce(&mut Recorder)) -> bool {
 fn equal_commands_are_recorded_once() {
     let gpu = Watched::open();
     let (a, b) = two_buffers(&gpu);
-    let kernel = scale(&gpu, 1);
+    let kernel = scaling(&gpu, 1);
     let twice = |r: &mut Recorder| r.stage("twice", |r| there_and_back(r, &kernel, &a, &b));
     assert!(!repeats(&gpu, twice));
     for _ in 0..3 {
@@ -231,46 +254,35 @@ fn equal_commands_are_recorded_once() {
 fn a_command_buffer_serves_equal_commands_alone() {
     let gpu = Watched::open();
     let (a, b) = two_buffers(&gpu);
-    let (kernel, other_kernel) = (scale(&gpu, 1), scale(&gpu, 2));
+    let (kernel, other_kernel) = (scaling(&gpu, 1), scaling(&gpu, 2));
     let arguments = gpu.upload("arguments", "test", &[1_u32; 6]).unwrap();
-    let push = scale_push(COUNT, 1);
-    let buffers = |from: &Buffer<i32>, to: &Buffer<i32>| {
-        [
-            ("source_values", from.clone()),
-            ("target_values", to.clone()),
-        ]
-    };
-    let run = |kernel: &Kernel, from: &Buffer<i32>, to: &Buffer<i32>, push: &[u8], groups: u32| {
+    let run = |kernel: &Kernel<scale::Module>, bindings, add: i32, groups: u32| {
+        let push = scale::Push { count: COUNT, add };
         repeats(&gpu, |r| {
-            let bound = buffers(from, to);
-            let bound = bound
-                .each_ref()
-                .map(|(name, buffer)| (*name, buffer.binding()));
-            r.dispatch(kernel, &bound, push, [groups, 1, 1]);
+            r.dispatch(kernel, bindings, push, [groups, 1, 1]);
         })
     };
     let indirect = |byte_offset: u64| {
+        let push = scale::Push {
+            count: COUNT,
+            add: 1,
+        };
         repeats(&gpu, |r| {
-            let bound = [
-                ("source_values", a.binding()),
-                ("target_values", b.binding()),
-            ];
-            r.dispatch_indirect(&kernel, &bound, &push, arguments.binding(), byte_offset);
+            r.dispatch_indirect(&kernel, from_to(&a, &b), push, &arguments, byte_offset);
         })
     };
     let copied =
         |from: usize, to: usize, count: usize| repeats(&gpu, |r| r.copy(&a, from, &b, to, count));
-    let filled = |offset: u64, bytes: u64, value: u32| {
-        repeats(&gpu, |r| r.fill(b.binding(), offset, bytes, value))
-    };
+    let filled =
+        |offset: u64, bytes: u64, value: u32| repeats(&gpu, |r| r.fill(&b, offset, bytes, value));
     let staged = |name: &'static str| repeats(&gpu, |r| r.stage(name, |r| r.copy(&a, 0, &b, 0, 1)));
     // Every one differs from those before it in one thing.
     let first = [
-        run(&kernel, &a, &b, &push, 4),
-        run(&other_kernel, &a, &b, &push, 4),
-        run(&kernel, &b, &a, &push, 4),
-        run(&kernel, &a, &b, &scale_push(COUNT, 2), 4),
-        run(&kernel, &a, &b, &push, 5),
+        run(&kernel, from_to(&a, &b), 1, 4),
+        run(&other_kernel, from_to(&a, &b), 1, 4),
+        run(&kernel, from_to(&b, &a), 1, 4),
+        run(&kernel, from_to(&a, &b), 2, 4),
+        run(&kernel, from_to(&a, &b), 1, 5),
         indirect(0),
         indirect(12),
         copied(0, 0, 4),
@@ -329,7 +341,7 @@ fn stages_are_timed_only_where_that_is_asked_for() {
 #[test]
 fn threads_may_record_and_submit_at_the_same_time() {
     let gpu = Watched::open();
-    let kernel = scale(&gpu, 2);
+    let kernel = scaling(&gpu, 2);
     std::thread::scope(|scope| {
         for thread in 0..4 {
             let (gpu, kernel) = (&gpu, &kernel);
@@ -356,13 +368,18 @@ fn threads_may_record_and_submit_at_the_same_time() {
 #[test]
 fn dropping_the_device_waits_for_its_work() {
     let gpu = Watched::open();
-    let spin = gpu.kernel("spin", &spirv("spin"), &[]).unwrap();
+    let spin: Kernel<spin::Module> = gpu.kernel(&spin::Constants {}).unwrap();
     let values = gpu.upload("values", "test", &[1_u32; 4096]).unwrap();
     let mut recorder = gpu.record(QueueRole::Main);
     recorder.dispatch(
         &spin,
-        &[("values", values.binding())],
-        &bytes(&[4096, 60_000]),
+        spin::Bindings {
+            values: values.bound(),
+        },
+        spin::Push {
+            count: 4096,
+            rounds: 60_000,
+        },
         [64, 1, 1],
     );
     let ticket = gpu.submit(recorder, &[]).unwrap();
@@ -386,7 +403,7 @@ fn recording_a_frame_takes_little_of_the_host() {
     })
     .unwrap();
     let (a, b) = two_buffers(&gpu);
-    let kernel = scale(&gpu, 1);
+    let kernel = scaling(&gpu, 1);
     // With the same `value` the commands are those of the call before.
     let record = |value: i32| {
         let start = Instant::now();
@@ -396,7 +413,7 @@ fn recording_a_frame_takes_little_of_the_host() {
                 there_and_back(recorder, &kernel, &a, &b);
             });
         }
-        recorder.fill(b.binding(), 0, 4, value as u32);
+        recorder.fill(&b, 0, 4, value as u32);
         let ticket = gpu.submit(recorder, &[]).unwrap();
         let took = start.elapsed();
         ticket.wait().unwrap();

@@ -14,8 +14,8 @@ use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::layout::View;
 use crate::stages::{
-    AgentBuffers, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant, Records,
-    TileSortBuffers,
+    AgentBuffers, FrameCounters, LidarAgents, LidarBuffers, LidarPass, LidarRoom, LidarVariant,
+    Records, TileSortBuffers,
 };
 
 /// Time on the device that a sweep took.
@@ -285,13 +285,12 @@ impl LidarRenderer {
 
 /// Empties what is counted.
 fn empty_counts(recorder: &mut Recorder, buffers: &LidarBuffers, bins: u32) {
-    let (counters, slabs) = (&buffers.counters, &buffers.lists.slab_counts);
-    let emptied = [
-        (counters.required.binding(), counters.required.byte_len()),
-        (counters.arguments.binding(), counters.arguments.byte_len()),
-        (slabs.binding(), TileSortBuffers::slab_bytes(bins)),
-    ];
-    for (buffer, bytes) in emptied {
-        recorder.fill(buffer, 0, bytes, 0);
-    }
+    let FrameCounters {
+        required,
+        arguments,
+    } = &buffers.counters;
+    recorder.fill(required, 0, required.byte_len(), 0);
+    recorder.fill(arguments, 0, arguments.byte_len(), 0);
+    let slab_bytes = TileSortBuffers::slab_bytes(bins);
+    recorder.fill(&buffers.lists.slab_counts, 0, slab_bytes, 0);
 }

@@ -1,19 +1,16 @@
 //! Culling and projection of agents.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Fog, Rules};
 
-use super::project::depths_constant;
-use super::{
-    CameraVariant, PURPOSE, Projected, RelitColors, Visible, kernel, least_response, push_constants,
-};
+use super::{CameraVariant, PURPOSE, Projected, RelitColors, Visible, least_response};
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::groups_for;
+use crate::interfaces::{cull_agents, project_agents};
 use crate::layout::{
     AgentRecord, CameraRecord, LensRecord, ShadingRecord, fog_vector, near_m, response_squares_max,
 };
-use crate::plane::Planes;
+use crate::plane::{Plane, Planes};
 
 /// The agents of a frame on the device.
 pub struct AgentBuffers {
@@ -77,26 +74,6 @@ pub struct AgentCounts {
     pub shadings: usize,
 }
 
-push_constants! {
-    struct CullPush {
-        agent_count: u32,
-        camera_count: u32,
-        cluster_count: u32,
-    }
-}
-
-push_constants! {
-    struct ProjectPush {
-        agent_count: u32,
-        camera_count: u32,
-        cluster_count: u32,
-        records_max: u32,
-        static_lists: u32,
-        flow_interval_s: f32,
-        fog: [f32; 4],
-    }
-}
-
 /// Specialization of the agents' kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AgentVariant {
@@ -118,7 +95,7 @@ pub struct AgentVariant {
 
 /// `cull_agents.comp`.
 pub struct CullAgents {
-    kernel: Kernel,
+    kernel: Kernel<cull_agents::Module>,
 }
 
 impl CullAgents {
@@ -127,50 +104,45 @@ impl CullAgents {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, cameras: CameraVariant) -> Result<Self, GpuError> {
-        let [lenses, rolling] = cameras.constants();
-        let [least, squares] = least_response(response_squares_max(rules));
-        let constants = [
-            ("NEAR_M", Constant::F32(near_m(rules))),
-            ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            lenses,
-            rolling,
-            least,
-            squares,
-        ];
+        let (least_response, least_response_squares) = least_response(response_squares_max(rules));
+        let constants = cull_agents::Constants {
+            near_m: near_m(rules),
+            antialias: rules.antialias,
+            lenses: cameras.lenses,
+            rolling: cameras.rolling,
+            least_response,
+            least_response_squares,
+        };
         Ok(Self {
-            kernel: kernel::<CullPush>(gpu, &decouplegs_shaders::CULL_AGENTS, &constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
-    /// Marks what is visible of the agents.
-    pub fn record(
+    /// Marks what is visible of the agents, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         pool: &PoolBuffers,
-        buffers: &AgentBuffers,
+        buffers: &'a AgentBuffers,
         counts: AgentCounts,
-    ) {
-        let push = CullPush {
+    ) -> &'a Visible {
+        let push = cull_agents::Push {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
             cluster_count: counts.clusters as u32,
         };
-        let bound = [
-            ("agents", buffers.agents.binding()),
-            ("agent_cameras", buffers.cameras.binding()),
-            ("coded_splats", pool.splats.binding()),
-            ("coded_shapes", pool.shapes.binding()),
-            ("asset_clusters", pool.clusters.binding()),
-            ("visible_words", buffers.visible.words.binding()),
-            ("visible_counts", buffers.visible.counts.binding()),
-            ("lenses", buffers.lenses.binding()),
-        ];
-        recorder.dispatch(
-            &self.kernel,
-            &bound,
-            bytes_of(&push),
-            groups_for(counts.clusters),
-        );
+        let bindings = cull_agents::Bindings {
+            agents: buffers.agents.bound(),
+            agent_cameras: buffers.cameras.bound(),
+            coded_splats: pool.splats.bound(),
+            coded_shapes: pool.shapes.bound().cast(),
+            asset_clusters: pool.clusters.bound(),
+            visible_words: buffers.visible.words.bound(),
+            visible_counts: buffers.visible.counts.bound(),
+            lenses: buffers.lenses.bound(),
+        };
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(counts.clusters));
+        &buffers.visible
     }
 }
 
@@ -193,7 +165,7 @@ pub struct SeenAgents<'a> {
 
 /// `project_agents.comp`.
 pub struct ProjectAgents {
-    kernel: Kernel,
+    kernel: Kernel<project_agents::Module>,
 }
 
 impl ProjectAgents {
@@ -202,37 +174,40 @@ impl ProjectAgents {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: AgentVariant) -> Result<Self, GpuError> {
-        let [lenses, rolling] = variant.cameras.constants();
-        let constants = [
-            ("NEAR_M", Constant::F32(near_m(rules))),
-            ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
-            ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
-            ("LABELS", Constant::Bool(variant.labels)),
-            ("RELIT", Constant::Bool(variant.relit)),
-            ("SHADED", Constant::Bool(variant.shaded)),
-            lenses,
-            rolling,
-            ("FOG", Constant::Bool(variant.fog)),
-            depths_constant(variant.planes),
-        ];
-        let attributes = variant.planes.attribute_constants();
-        let constants: Vec<_> = constants.into_iter().chain(attributes).collect();
+        let writes = |plane| variant.planes.contains(plane);
+        let constants = project_agents::Constants {
+            near_m: near_m(rules),
+            antialias: rules.antialias,
+            sh_degree: u32::from(variant.sh_degree),
+            radial: rules.order == DepthOrder::Radial,
+            labels: variant.labels,
+            relit: variant.relit,
+            shaded: variant.shaded,
+            lenses: variant.cameras.lenses,
+            rolling: variant.cameras.rolling,
+            fog: variant.fog,
+            depths: variant.planes.has_medians(),
+            range: writes(Plane::Range),
+            normal: writes(Plane::Normal),
+            flow_forward: writes(Plane::FlowForward),
+            flow_backward: writes(Plane::FlowBackward),
+            scene_flow: writes(Plane::SceneFlow),
+        };
         Ok(Self {
-            kernel: kernel::<ProjectPush>(gpu, &decouplegs_shaders::PROJECT_AGENTS, &constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
     /// Writes a record for every visible splat of the agents behind those of the background, whose
-    /// `static_lists` lists begin at `static_offsets`, and its depth key.
-    pub fn record(
+    /// `static_lists` lists begin at `static_offsets`, and its depth key. Returns `projected`.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         agents: SeenAgents<'_>,
         static_offsets: &Buffer<u32>,
         static_lists: usize,
-        projected: &Projected,
-    ) {
+        projected: &'a Projected,
+    ) -> &'a Projected {
         let SeenAgents {
             pool,
             buffers,
@@ -241,7 +216,7 @@ impl ProjectAgents {
             fog,
             flow_interval_s,
         } = agents;
-        let push = ProjectPush {
+        let push = project_agents::Push {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
             cluster_count: counts.clusters as u32,
@@ -250,31 +225,27 @@ impl ProjectAgents {
             flow_interval_s,
             fog: fog_vector(fog),
         };
-        let bound = [
-            ("agents", buffers.agents.binding()),
-            ("agent_cameras", buffers.cameras.binding()),
-            ("coded_splats", pool.splats.binding()),
-            ("coded_shapes", pool.shapes.binding()),
-            ("visible_words", buffers.visible.words.binding()),
-            ("offsets", buffers.offsets.binding()),
-            ("coded_dc", pool.color_dc.binding()),
-            ("coded_bands", pool.color_bands.binding()),
-            ("static_offsets", static_offsets.binding()),
-            ("relit_dc", relit.dc.binding()),
-            ("relit_bands", relit.bands.binding()),
-            ("shadings", buffers.shadings.binding()),
-            ("footprints", projected.footprints.binding()),
-            ("labels", projected.labels.binding()),
-            ("attributes", projected.attributes.binding()),
-            ("depths", projected.depths.binding()),
-            ("keys", projected.keys.binding()),
-            ("lenses", buffers.lenses.binding()),
-        ];
-        recorder.dispatch(
-            &self.kernel,
-            &bound,
-            bytes_of(&push),
-            groups_for(counts.clusters),
-        );
+        let bindings = project_agents::Bindings {
+            agents: buffers.agents.bound(),
+            agent_cameras: buffers.cameras.bound(),
+            coded_splats: pool.splats.bound(),
+            coded_shapes: pool.shapes.bound().cast(),
+            visible_words: buffers.visible.words.bound(),
+            offsets: buffers.offsets.bound(),
+            coded_dc: pool.color_dc.bound(),
+            coded_bands: pool.color_bands.bound().cast(),
+            static_offsets: static_offsets.bound(),
+            relit_dc: relit.dc.bound(),
+            relit_bands: relit.bands.bound().cast(),
+            shadings: buffers.shadings.bound(),
+            footprints: projected.footprints.bound(),
+            labels: projected.labels.bound(),
+            attributes: projected.attributes.bound(),
+            depths: projected.depths.bound(),
+            keys: projected.keys.bound(),
+            lenses: buffers.lenses.bound(),
+        };
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(counts.clusters));
+        projected
     }
 }

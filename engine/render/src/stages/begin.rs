@@ -4,7 +4,8 @@
 use bytemuck::{Pod, Zeroable, bytes_of};
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{FrameCounters, PartialResults, kernel, push_constants};
+use super::{FrameCounters, PartialResults, Views};
+use crate::interfaces::begin::{Bindings, Constants, Module, Push};
 use crate::layout::{CameraRecord, LensRecord, SLABS};
 
 /// Words that a thread writes, at most, where there are fewer workgroups than [`GROUPS_MAX`].
@@ -12,22 +13,6 @@ const WORDS_PER_THREAD: u64 = 8;
 
 /// Workgroups at most: enough to fill any device.
 const GROUPS_MAX: u64 = 1024;
-
-push_constants! {
-    struct Push {
-        camera_words: u32,
-        lens_words: u32,
-        key_set_words: u32,
-        required_words: u32,
-        argument_words: u32,
-        slab_words: u32,
-        contribution_words: u32,
-        agent_offset_words: u32,
-        transmittance_words: u32,
-        unfinished_words: u32,
-        medians_unfinished_words: u32,
-    }
-}
 
 /// Buffers that the host writes for a frame, or those of the device with the same content.
 #[derive(Clone, Copy)]
@@ -75,7 +60,7 @@ pub struct Counted<'a> {
 
 /// `begin.comp`.
 pub struct Begin {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl Begin {
@@ -85,12 +70,17 @@ impl Begin {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::BEGIN, &[])?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
-    /// Copies what the host has `written`, and empties what is `counted`.
-    pub fn record(&self, recorder: &mut Recorder, written: HostWritten<'_>, counted: Counted<'_>) {
+    /// Copies what the host has `written`, and empties what is `counted`. Returns the cameras.
+    pub fn record<'a>(
+        &self,
+        recorder: &mut Recorder,
+        written: HostWritten<'a>,
+        counted: Counted<'_>,
+    ) -> Views<'a> {
         let Counted {
             counters, partials, ..
         } = counted;
@@ -108,6 +98,11 @@ impl Begin {
             medians_unfinished_words: partials.medians_unfinished.len() as u32,
         };
         self.dispatch(recorder, written, counted, push);
+        Views {
+            cameras: written.to.cameras,
+            lenses: written.to.lenses,
+            count: written.cameras,
+        }
     }
 
     /// Empties what a sort counts, for another sort of the same frame.
@@ -133,32 +128,29 @@ impl Begin {
         push: Push,
     ) {
         let HostWritten { from, to, .. } = written;
-        let bound = [
-            ("staged_cameras", from.cameras.binding()),
-            ("staged_lenses", from.lenses.binding()),
-            ("staged_key_sets", from.key_sets.binding()),
-            ("cameras", to.cameras.binding()),
-            ("lenses", to.lenses.binding()),
-            ("key_sets", to.key_sets.binding()),
-            ("required", counted.counters.required.binding()),
-            ("arguments", counted.counters.arguments.binding()),
-            ("slab_counts", counted.slab_counts.binding()),
-            ("contributions", counted.contributions.binding()),
-            ("agent_offsets", counted.agent_offsets.binding()),
-            ("transmittances", counted.partials.transmittances.binding()),
-            ("unfinished", counted.partials.unfinished.binding()),
-            (
-                "medians_unfinished",
-                counted.partials.medians_unfinished.binding(),
-            ),
-        ];
+        let bindings = Bindings {
+            staged_cameras: from.cameras.bound().cast(),
+            staged_lenses: from.lenses.bound().cast(),
+            staged_key_sets: from.key_sets.bound(),
+            cameras: to.cameras.bound().cast(),
+            lenses: to.lenses.bound().cast(),
+            key_sets: to.key_sets.bound(),
+            required: counted.counters.required.bound().cast(),
+            arguments: counted.counters.arguments.bound().cast(),
+            slab_counts: counted.slab_counts.bound().cast(),
+            contributions: counted.contributions.bound(),
+            agent_offsets: counted.agent_offsets.bound(),
+            transmittances: counted.partials.transmittances.bound().cast(),
+            unfinished: counted.partials.unfinished.bound(),
+            medians_unfinished: counted.partials.medians_unfinished.bound(),
+        };
         let all_words: u64 = bytemuck::cast_slice::<u8, u32>(bytes_of(&push))
             .iter()
             .map(|&words| u64::from(words))
             .sum();
         let threads = 256 * WORDS_PER_THREAD;
         let groups = all_words.div_ceil(threads).clamp(1, GROUPS_MAX) as u32;
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), [groups, 1, 1]);
+        recorder.dispatch(&self.kernel, bindings, push, [groups, 1, 1]);
     }
 }
 

@@ -1,17 +1,15 @@
 //! Alpha compositing of the segments of coarse tiles' lists.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{EarlyStop, Rules};
 use decouplegs_shaders::constants;
 
-use super::{
-    FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, kernel, least_response,
-    push_constants,
-};
+use super::{FrameCounters, IndirectArguments, PURPOSE, Plan, Projected, Views, least_response};
 use crate::capacity::Capacity;
+use crate::interfaces::blend::{Bindings, Constants, Module, Push};
 use crate::layout::{COARSE_PIXELS, FINE_TILES, PartialTiles, response_squares_max};
-use crate::output::{OutputBuffers, Outputs};
+use crate::output::{ColorFormat, OutputBuffers, Outputs};
+use crate::plane::Plane;
 
 /// Partial accumulations of segments for composite: one per pixel of the fine tiles that a segment
 /// draws something in. Of length 0 where the output was not asked for.
@@ -101,14 +99,6 @@ impl PixelEnd {
             Self::Inclusive => Some(constants::TRANSMITTANCE_MIN_INCLUSIVE),
         }
     }
-
-    /// Specialization constants of the kernels.
-    pub(super) fn constants(self) -> [(&'static str, Constant); 2] {
-        [
-            ("EARLY_STOP", Constant::Bool(self != Self::Full)),
-            ("INCLUSIVE_STOP", Constant::Bool(self == Self::Inclusive)),
-        ]
-    }
 }
 
 /// True if segments of a list are blended again from what lies before them: by an early stop,
@@ -127,17 +117,6 @@ pub enum BlendPass {
     Finish,
     /// Finds the medians that composite has left to be finished.
     FinishMedians,
-}
-
-push_constants! {
-    struct Push {
-        sky: [f32; 3],
-        camera_count: u32,
-        items_max: u32,
-        tiles_max: u32,
-        contribution_scale: f32,
-        image_pixels: u32,
-    }
 }
 
 /// Specialization of [`Blend`], beside rules and outputs.
@@ -182,7 +161,7 @@ pub struct Target<'a> {
 
 /// `blend.comp`.
 pub struct Blend {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
     pass: BlendPass,
 }
 
@@ -202,40 +181,46 @@ impl Blend {
             pass,
             item_pairs_max,
         } = variant;
-        let own = [
-            ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
-            ("LANES", Constant::U32(gpu.limits().subgroup_size)),
-            (
-                "ONE_BATCH",
-                Constant::Bool(item_pairs_max <= constants::BATCH),
-            ),
-            ("CONTRIBUTIONS", Constant::Bool(outputs.contributions)),
-            ("FINISH", Constant::Bool(pass != BlendPass::Segments)),
-            (
-                "FINISH_MEDIANS",
-                Constant::Bool(pass == BlendPass::FinishMedians),
-            ),
-        ];
-        let constants: Vec<_> = (outputs.constants())
-            .chain(own)
-            .chain(end.constants())
-            .chain(least_response(response_squares_max(rules)))
-            .collect();
+        let draws = |plane| outputs.planes.contains(plane);
+        let (least_response, least_response_squares) = least_response(response_squares_max(rules));
+        let constants = Constants {
+            color_u8: outputs.color == ColorFormat::U8,
+            depth: draws(Plane::Depth),
+            instance: draws(Plane::Instance),
+            range: draws(Plane::Range),
+            normal: draws(Plane::Normal),
+            flow_forward: draws(Plane::FlowForward),
+            flow_backward: draws(Plane::FlowBackward),
+            scene_flow: draws(Plane::SceneFlow),
+            depth_median: draws(Plane::DepthMedian),
+            range_median: draws(Plane::RangeMedian),
+            alpha_max: rules.alpha_max as f32,
+            early_stop: end != PixelEnd::Full,
+            inclusive_stop: end == PixelEnd::Inclusive,
+            lanes: gpu.limits().subgroup_size,
+            one_batch: item_pairs_max <= constants::BATCH,
+            contributions: outputs.contributions,
+            finish: pass != BlendPass::Segments,
+            finish_medians: pass == BlendPass::FinishMedians,
+            least_response,
+            least_response_squares,
+        };
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::BLEND, &constants)?,
+            kernel: gpu.kernel(&constants)?,
             pass,
         })
     }
 
-    /// Blends `segments` of the lists of `splats` into the target or partial results.
-    pub fn record(
+    /// Blends `segments` of the lists of `splats` into the target or partial results, and returns
+    /// the segments.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         views: Views<'_>,
         splats: ListedSplats<'_>,
-        segments: Segments<'_>,
+        segments: Segments<'a>,
         target: Target<'_>,
-    ) {
+    ) -> Segments<'a> {
         let ListedSplats { records, projected } = splats;
         let Segments {
             counters,
@@ -255,33 +240,33 @@ impl Blend {
             BlendPass::FinishMedians => &partials.medians_unfinished,
             BlendPass::Segments | BlendPass::Finish => &partials.unfinished,
         };
-        let [images_f32, images_u8, planes] = images.bindings();
-        let buffers = [
-            ("cameras", views.cameras.binding()),
-            images_f32,
-            images_u8,
-            planes,
-            ("required", counters.required.binding()),
-            ("items", plan.items.binding()),
-            ("records", records.binding()),
-            ("footprints", projected.footprints.binding()),
-            ("labels", projected.labels.binding()),
-            ("attributes", projected.attributes.binding()),
-            ("depths", projected.depths.binding()),
-            ("partial_colors", partials.colors.binding()),
-            ("partial_planes", partials.planes.binding()),
-            ("partial_transmittances", partials.transmittances.binding()),
-            ("partial_unfinished", unfinished.binding()),
-            ("partial_medians", partials.medians.binding()),
-            ("partial_tiles", partials.tiles.binding()),
-            ("contributions", images.contributions.binding()),
-        ];
+        let bindings = Bindings {
+            cameras: views.cameras.bound(),
+            images_f32: images.images_f32.bound(),
+            images_u8: images.images_u8.bound(),
+            planes: images.planes.bound(),
+            required: counters.required.bound(),
+            items: plan.items.bound(),
+            records: records.bound(),
+            footprints: projected.footprints.bound(),
+            labels: projected.labels.bound(),
+            attributes: projected.attributes.bound(),
+            depths: projected.depths.bound(),
+            partial_colors: partials.colors.bound(),
+            partial_planes: partials.planes.bound(),
+            partial_transmittances: partials.transmittances.bound().cast(),
+            partial_unfinished: unfinished.bound(),
+            partial_medians: partials.medians.bound(),
+            partial_tiles: partials.tiles.bound(),
+            contributions: images.contributions.bound(),
+        };
         recorder.dispatch_indirect(
             &self.kernel,
-            &buffers,
-            bytes_of(&push),
-            counters.arguments.binding(),
+            bindings,
+            push,
+            &counters.arguments,
             IndirectArguments::Blend.byte_offset(),
         );
+        segments
     }
 }

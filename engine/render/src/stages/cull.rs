@@ -1,11 +1,11 @@
 //! Frustum culling: visible splats per camera.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
-use super::{CameraVariant, PURPOSE, Views, kernel, least_response, push_constants};
+use super::{CameraVariant, PURPOSE, Views, least_response};
 use crate::capacity::groups_for;
+use crate::interfaces::cull::{Bindings, Constants, Module, Push};
 use crate::layout::{CLUSTER_SPLATS, near_m, response_squares_max};
 use crate::resident::GpuScene;
 use crate::storage::Storage;
@@ -37,18 +37,9 @@ impl Visible {
     }
 }
 
-push_constants! {
-    struct Push {
-        splat_count: u32,
-        camera_count: u32,
-        cluster_count: u32,
-        pitch_px: f32,
-    }
-}
-
 /// `cull.comp`.
 pub struct Cull {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
     pitch_px: f32,
 }
 
@@ -65,31 +56,30 @@ impl Cull {
         storage: Storage,
         pitch_px: f32,
     ) -> Result<Self, GpuError> {
-        let [lenses, rolling] = cameras.constants();
-        let [least, squares] = least_response(response_squares_max(rules));
-        let constants = [
-            ("NEAR_M", Constant::F32(near_m(rules))),
-            ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            lenses,
-            rolling,
-            storage.constant(),
-            least,
-            squares,
-        ];
+        let (least_response, least_response_squares) = least_response(response_squares_max(rules));
+        let constants = Constants {
+            near_m: near_m(rules),
+            antialias: rules.antialias,
+            lenses: cameras.lenses,
+            rolling: cameras.rolling,
+            compact: storage == Storage::Compact,
+            least_response,
+            least_response_squares,
+        };
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL, &constants)?,
+            kernel: gpu.kernel(&constants)?,
             pitch_px,
         })
     }
 
-    /// Marks what `views` see of `gpu_scene`.
-    pub fn record(
+    /// Marks what `views` see of `gpu_scene` in `visible`, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         gpu_scene: &GpuScene,
         views: Views<'_>,
-        visible: &Visible,
-    ) {
+        visible: &'a Visible,
+    ) -> &'a Visible {
         let push = Push {
             splat_count: gpu_scene.splats as u32,
             camera_count: views.count as u32,
@@ -99,22 +89,23 @@ impl Cull {
                 _ => self.pitch_px,
             },
         };
-        let buffers = [
-            ("cameras", views.cameras.binding()),
-            ("clusters", gpu_scene.clusters.binding()),
-            ("nodes", gpu_scene.nodes.binding()),
-            ("means_m", gpu_scene.means.binding()),
-            ("shapes", gpu_scene.shapes.binding()),
-            ("rotations", gpu_scene.rotations.binding()),
-            ("visible_words", visible.words.binding()),
-            ("visible_counts", visible.counts.binding()),
-            ("lenses", views.lenses.binding()),
-        ];
+        let bindings = Bindings {
+            cameras: views.cameras.bound(),
+            clusters: gpu_scene.clusters.bound(),
+            nodes: gpu_scene.nodes.bound(),
+            means_m: gpu_scene.means.bound(),
+            shapes: gpu_scene.shapes.bound(),
+            rotations: gpu_scene.rotations.bound(),
+            visible_words: visible.words.bound(),
+            visible_counts: visible.counts.bound(),
+            lenses: views.lenses.bound(),
+        };
         recorder.dispatch(
             &self.kernel,
-            &buffers,
-            bytes_of(&push),
+            bindings,
+            push,
             groups_for(gpu_scene.cluster_count()),
         );
+        visible
     }
 }

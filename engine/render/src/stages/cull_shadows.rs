@@ -1,10 +1,10 @@
 //! Culling of shadows on the ground, per cluster of the background.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{PURPOSE, kernel, push_constants};
+use super::PURPOSE;
 use crate::capacity::groups_for;
+use crate::interfaces::cull_shadows::{Bindings, Constants, Module, Push};
 use crate::layout::{CLUSTER_SPLATS, ShadowRecord};
 use crate::resident::GpuScene;
 
@@ -40,16 +40,9 @@ pub fn words_for(shadows: usize) -> usize {
     shadows.div_ceil(32)
 }
 
-push_constants! {
-    struct Push {
-        cluster_count: u32,
-        shadow_count: u32,
-    }
-}
-
 /// `cull_shadows.comp`.
 pub struct CullShadows {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl CullShadows {
@@ -59,7 +52,7 @@ impl CullShadows {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::CULL_SHADOWS, &[])?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -76,16 +69,16 @@ impl CullShadows {
             cluster_count: clusters as u32,
             shadow_count: shadow_count as u32,
         };
-        let bound = [
-            ("clusters", gpu_scene.clusters.binding()),
-            ("shadows", buffers.shadows.binding()),
-            ("shadow_words", buffers.words.binding()),
-        ];
+        let bindings = Bindings {
+            clusters: gpu_scene.clusters.bound(),
+            shadows: buffers.shadows.bound(),
+            shadow_words: buffers.words.bound(),
+        };
         let threads = clusters * words_for(shadow_count);
         recorder.dispatch(
             &self.kernel,
-            &bound,
-            bytes_of(&push),
+            bindings,
+            push,
             groups_for(threads.div_ceil(CLUSTER_SPLATS)),
         );
     }

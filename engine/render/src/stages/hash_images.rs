@@ -1,19 +1,9 @@
 //! Sums over the blocks of images, of which the host makes their hashes.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{kernel, push_constants};
 use crate::capacity::groups_for;
-
-push_constants! {
-    struct Push {
-        first_pixel: u32,
-        pixel_count: u32,
-        first_unit: u32,
-        unit_count: u32,
-    }
-}
+use crate::interfaces::hash_images::{Bindings, Constants, Module, Push};
 
 /// Sums of a block.
 pub const LANES: usize = 8;
@@ -66,7 +56,7 @@ const THREADS: usize = 256;
 
 /// `hash_images.comp`.
 pub struct HashImages {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl HashImages {
@@ -76,7 +66,7 @@ impl HashImages {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::HASH_IMAGES, &[])?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -89,12 +79,12 @@ impl HashImages {
             first_unit: to.first_unit as u32,
             unit_count: units as u32,
         };
-        let buffers = [
-            ("pixels", image.pixels.binding()),
-            ("keys", to.keys.binding()),
-            ("sums", to.sums.binding()),
-        ];
+        let bindings = Bindings {
+            pixels: image.pixels.bound(),
+            keys: to.keys.bound().cast(),
+            sums: to.sums.bound().cast(),
+        };
         let groups = groups_for((units * LANES).div_ceil(THREADS));
-        recorder.dispatch(&self.kernel, &buffers, bytes_of(&push), groups);
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }

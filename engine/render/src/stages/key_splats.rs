@@ -1,10 +1,9 @@
 //! Depth keys of the whole background along one camera's direction, for the persistent key buffer.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 
-use super::{kernel, push_constants};
 use crate::capacity::groups_for;
+use crate::interfaces::key_splats::{Bindings, Constants, Module, Push};
 use crate::layout::CameraRecord;
 use crate::resident::GpuScene;
 
@@ -26,17 +25,9 @@ pub struct WantedKeys {
     pub set: usize,
 }
 
-push_constants! {
-    struct Push {
-        splat_count: u32,
-        camera: u32,
-        key_set: u32,
-    }
-}
-
 /// `key_splats.comp`.
 pub struct KeySplats {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl KeySplats {
@@ -46,7 +37,7 @@ impl KeySplats {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::KEY_SPLATS, &[])?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -65,15 +56,15 @@ impl KeySplats {
             camera: wanted.camera as u32,
             key_set: wanted.set as u32,
         };
-        let bound = [
-            ("cameras", cameras.binding()),
-            ("means_m", gpu_scene.means.binding()),
-            ("kept_keys", keys.binding()),
-        ];
+        let bindings = Bindings {
+            cameras: cameras.bound(),
+            means_m: gpu_scene.means.bound(),
+            kept_keys: keys.bound(),
+        };
         recorder.dispatch(
             &self.kernel,
-            &bound,
-            bytes_of(&push),
+            bindings,
+            push,
             groups_for(gpu_scene.splats.div_ceil(256)),
         );
     }

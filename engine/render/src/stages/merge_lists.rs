@@ -1,12 +1,10 @@
 //! Kept lists of the background, merged with those of the agents.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{
-    FrameCounters, IndirectArguments, Projected, TileLists, TileSortBuffers, kernel, push_constants,
-};
+use super::{FrameCounters, IndirectArguments, Projected, SortedLists, TileLists, TileSortBuffers};
 use crate::capacity::Capacity;
+use crate::interfaces::{merge_lists, plan_merges};
 use crate::layout::{MERGE_PAIRS, MergePiece, RequiredCounts};
 
 /// Purpose under which the memory of kept lists is counted.
@@ -86,26 +84,10 @@ pub struct DrawnAlone<'a> {
     pub holds: bool,
 }
 
-push_constants! {
-    struct PlanPush {
-        bin_count: u32,
-        pairs_max: u32,
-        pieces_max: u32,
-        drawn_count: u32,
-        drawn_holds: u32,
-    }
-}
-
-push_constants! {
-    struct MergePush {
-        pieces_max: u32,
-    }
-}
-
 /// `plan_merges.comp` and `merge_lists.comp`.
 pub struct MergeLists {
-    plan: Kernel,
-    merge: Kernel,
+    plan: Kernel<plan_merges::Module>,
+    merge: Kernel<merge_lists::Module>,
 }
 
 impl MergeLists {
@@ -115,8 +97,8 @@ impl MergeLists {
     /// [`GpuError`]: the driver refuses a kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            plan: kernel::<PlanPush>(gpu, &decouplegs_shaders::PLAN_MERGES, &[])?,
-            merge: kernel::<MergePush>(gpu, &decouplegs_shaders::MERGE_LISTS, &[])?,
+            plan: gpu.kernel(&plan_merges::Constants {})?,
+            merge: gpu.kernel(&merge_lists::Constants {})?,
         })
     }
 
@@ -130,57 +112,55 @@ impl MergeLists {
         buffers: &MergeBuffers,
         drawn: DrawnAlone<'_>,
     ) {
-        let push = PlanPush {
+        let push = plan_merges::Push {
             bin_count: moving.count,
             pairs_max: buffers.other_keys.len() as u32,
             pieces_max: buffers.pieces.len() as u32,
             drawn_count: moving.count.min(drawn.tiles.len() as u32),
             drawn_holds: u32::from(drawn.holds),
         };
-        let bound = [
-            ("required", counters.required.binding()),
-            ("kept_required", buffers.kept_required.binding()),
-            ("kept_lists", buffers.kept_lists.binding()),
-            ("moving_lists", moving.lists.binding()),
-            ("merged_lists", buffers.merged_lists.binding()),
-            ("pieces", buffers.pieces.binding()),
-            ("arguments", counters.arguments.binding()),
-            ("drawn_alone", drawn.tiles.binding()),
-        ];
+        let bindings = plan_merges::Bindings {
+            required: counters.required.bound(),
+            kept_required: buffers.kept_required.bound(),
+            kept_lists: buffers.kept_lists.bound(),
+            moving_lists: moving.lists.bound(),
+            merged_lists: buffers.merged_lists.bound(),
+            pieces: buffers.pieces.bound(),
+            arguments: counters.arguments.bound(),
+            drawn_alone: drawn.tiles.bound(),
+        };
         let groups = [moving.count.div_ceil(256), 1, 1];
-        recorder.dispatch(&self.plan, &bound, bytes_of(&push), groups);
+        recorder.dispatch(&self.plan, bindings, push, groups);
     }
 
-    /// Merges the lists that were planned, whose records are `projected`; `moving` holds those of
-    /// agents.
-    pub fn record(
+    /// Merges the lists of `moving`, those of agents, with kept ones as it was planned, and returns
+    /// what is to be blended. Their records are `projected`.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
-        moving: &TileSortBuffers,
+        moving: SortedLists<'_>,
         projected: &Projected,
-        buffers: &MergeBuffers,
-    ) {
-        let push = MergePush {
+        buffers: &'a MergeBuffers,
+    ) -> SortedLists<'a> {
+        let push = merge_lists::Push {
             pieces_max: buffers.pieces.len() as u32,
         };
-        let bound = [
-            ("required", counters.required.binding()),
-            ("kept_lists", buffers.kept_lists.binding()),
-            ("moving_lists", moving.tile_lists.binding()),
-            ("merged_lists", buffers.merged_lists.binding()),
-            ("pieces", buffers.pieces.binding()),
-            ("moving_records", moving.sorted_records.binding()),
-            ("keys", projected.keys.binding()),
-            ("sorted_records", buffers.sorted_records.binding()),
-        ];
+        let bindings = merge_lists::Bindings {
+            required: counters.required.bound(),
+            kept_lists: buffers.kept_lists.bound(),
+            moving_lists: moving.lists.lists.bound(),
+            merged_lists: buffers.merged_lists.bound(),
+            pieces: buffers.pieces.bound(),
+            moving_records: moving.records.bound(),
+            keys: projected.keys.bound(),
+            sorted_records: buffers.sorted_records.bound(),
+        };
         let offset = IndirectArguments::Merge.byte_offset();
-        recorder.dispatch_indirect(
-            &self.merge,
-            &bound,
-            bytes_of(&push),
-            counters.arguments.binding(),
-            offset,
-        );
+        recorder.dispatch_indirect(&self.merge, bindings, push, &counters.arguments, offset);
+        SortedLists {
+            lists: buffers.lists_of(moving.lists.count),
+            records: &buffers.sorted_records,
+        }
     }
 }

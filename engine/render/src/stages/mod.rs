@@ -3,8 +3,8 @@
 //! kernels: `agents`, `lidar`, `merge_lists` and `tile_sort`. Kernels are built once, buffers once
 //! per capacity, commands every frame.
 //!
-//! Each stage takes the buffers it reads and returns nothing but commands: what it writes is a
-//! named struct of buffers, made beforehand, that the next stage takes.
+//! Each stage takes the buffers that it reads and those that it writes, which are made beforehand,
+//! records its commands, and returns what it wrote: the next stage takes it.
 
 mod agents;
 mod begin;
@@ -41,7 +41,7 @@ pub use lidar::{
     ProjectLidarAgents, SectorBuffers, SectorTables, TraceLidar, beam_lanes,
 };
 pub use merge_lists::{DrawnAlone, MergeBuffers, MergeLists};
-pub use plan_segments::{Plan, PlanSegments, TileLists};
+pub use plan_segments::{Plan, PlanSegments, SortedLists, TileLists};
 pub use post_process::{PostProcess, PostProcessInputs};
 pub use project::{Project, ProjectInputs, ProjectVariant, Projected, RecordContents};
 pub use relight::{RELIGHT_BLOCK, Relight, RelightWork, RelitColors};
@@ -52,7 +52,7 @@ pub use tile_sort::{
     TileSort, TileSortBuffers,
 };
 
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind};
 use decouplegs_shaders::constants;
 
 use crate::layout::{ARGUMENT_SETS, CameraRecord, LensRecord, RequiredCounts};
@@ -120,11 +120,6 @@ impl IndirectArguments {
     }
 }
 
-/// Members of a kernel's push constants: names and byte offsets, in order.
-trait PushConstants: bytemuck::Pod {
-    const MEMBERS: &'static [(&'static str, usize)];
-}
-
 /// Specialization of a projection to the cameras of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CameraVariant {
@@ -143,113 +138,13 @@ impl CameraVariant {
             rolling: cameras.iter().any(CameraRecord::rolls),
         }
     }
-
-    /// Specialization constants of the kernels.
-    fn constants(self) -> [(&'static str, Constant); 2] {
-        [
-            ("LENSES", Constant::Bool(self.lenses)),
-            ("ROLLING", Constant::Bool(self.rolling)),
-        ]
-    }
 }
 
-/// Declares the push constants of a kernel. [`kernel`] compares them with the shader's.
-macro_rules! push_constants {
-    (struct $name:ident { $($member:ident: $type:ty,)* }) => {
-        #[repr(C)]
-        #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-        struct $name {
-            $($member: $type,)*
-        }
-
-        impl crate::stages::PushConstants for $name {
-            const MEMBERS: &'static [(&'static str, usize)] = &[$((stringify!($member), std::mem::offset_of!($name, $member)),)*];
-        }
-    };
-}
-use push_constants;
-
-/// For kernels without push constants.
-type NoPush = ();
-
-impl PushConstants for NoPush {
-    const MEMBERS: &'static [(&'static str, usize)] = &[];
-}
-
-/// Specialization constants of rules whose splats add to pixels up to a sum of squares
+/// True, and the sum, where splats add to pixels up to a sum of squares; else false and 0
 /// ([`crate::layout::response_squares_max`]).
-fn least_response(squares_max: f32) -> [(&'static str, Constant); 2] {
-    let bounded = squares_max.is_finite();
-    let squares = if bounded { squares_max } else { 0.0 };
-    [
-        ("LEAST_RESPONSE", Constant::Bool(bounded)),
-        ("LEAST_RESPONSE_SQUARES", Constant::F32(squares)),
-    ]
-}
-
-/// Builds `shader`, whose push constants are `P`.
-///
-/// # Errors
-/// [`GpuError`]: the driver refuses it, or the shader declares other push constants than the host.
-fn kernel<P: PushConstants>(
-    gpu: &Gpu,
-    shader: &'static decouplegs_shaders::Kernel,
-    constants: &[(&str, Constant)],
-) -> Result<Kernel, GpuError> {
-    let kernel = gpu.kernel(shader.name, shader.spirv, constants)?;
-    match push_fault::<P>(kernel.push_member_offsets(), kernel.push_bytes()) {
-        Some(reason) => Err(GpuError::Kernel {
-            kernel: shader.name,
-            reason,
-        }),
-        None => Ok(kernel),
-    }
-}
-
-/// Difference between the push constants of host and shader, if there is one.
-fn push_fault<P: PushConstants>(members: &[(String, u32)], bytes: u32) -> Option<String> {
-    let shader = members
-        .iter()
-        .map(|(name, offset)| (name.as_str(), *offset as usize));
-    let same = shader.eq(P::MEMBERS.iter().copied()) && bytes as usize == size_of::<P>();
-    (!same).then(|| {
-        let (host, host_bytes) = (P::MEMBERS, size_of::<P>());
-        format!("push constants are {members:?} of {bytes} bytes in the shader, and {host:?} of {host_bytes} bytes on the host")
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::push_fault;
-
-    push_constants! {
-        struct Push {
-            sky: [f32; 3],
-            count: u32,
-        }
-    }
-
-    #[test]
-    fn other_push_constants_are_refused() {
-        let members =
-            |members: [(&str, u32); 2]| members.map(|(name, offset)| (name.to_owned(), offset));
-        assert_eq!(
-            push_fault::<Push>(&members([("sky", 0), ("count", 12)]), 16),
-            None
-        );
-        for (wrong, bytes) in [
-            ([("sky", 0), ("count", 16)], 20),
-            ([("sky", 0), ("sum", 12)], 16),
-            ([("count", 12), ("sky", 0)], 16),
-            ([("sky", 0), ("count", 12)], 32),
-        ] {
-            assert!(
-                push_fault::<Push>(&members(wrong), bytes)
-                    .unwrap()
-                    .contains("on the host"),
-                "{wrong:?}"
-            );
-        }
-        assert!(push_fault::<()>(&members([("sky", 0), ("count", 12)]), 16).is_some());
+fn least_response(squares_max: f32) -> (bool, f32) {
+    match squares_max.is_finite() {
+        true => (true, squares_max),
+        false => (false, 0.0),
     }
 }

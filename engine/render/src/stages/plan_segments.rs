@@ -1,10 +1,10 @@
 //! Cuts each coarse tile's list into segments that are blended side by side.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{FrameCounters, PURPOSE, kernel, push_constants};
+use super::{FrameCounters, PURPOSE};
 use crate::capacity::Capacity;
+use crate::interfaces::plan_segments::{Bindings, Constants, Module, Push};
 use crate::layout::{BlendItem, Composite};
 
 /// The work of blend and composite.
@@ -34,6 +34,15 @@ impl Plan {
     }
 }
 
+/// Sorted lists of coarse tiles.
+#[derive(Clone, Copy)]
+pub struct SortedLists<'a> {
+    /// Entries of each.
+    pub lists: TileLists<'a>,
+    /// Records of the entries, front to back in each list.
+    pub records: &'a Buffer<u32>,
+}
+
 /// Lists of coarse tiles.
 #[derive(Clone, Copy)]
 pub struct TileLists<'a> {
@@ -43,19 +52,9 @@ pub struct TileLists<'a> {
     pub count: u32,
 }
 
-push_constants! {
-    struct Push {
-        bin_count: u32,
-        pairs_max: u32,
-        items_max: u32,
-        partials_max: u32,
-        composites_max: u32,
-    }
-}
-
 /// `plan_segments.comp`.
 pub struct PlanSegments {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
     segment_pairs: u32,
 }
 
@@ -65,22 +64,21 @@ impl PlanSegments {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, segment_pairs: u32) -> Result<Self, GpuError> {
-        let constants = [("SEGMENT_PAIRS", Constant::U32(segment_pairs))];
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_SEGMENTS, &constants)?,
+            kernel: gpu.kernel(&Constants { segment_pairs })?,
             segment_pairs,
         })
     }
 
-    /// Writes `plan` for `lists`.
-    pub fn record(
+    /// Writes `plan` for `lists`, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
         lists: TileLists<'_>,
         capacity: &Capacity,
-        plan: &Plan,
-    ) {
+        plan: &'a Plan,
+    ) -> &'a Plan {
         let push = Push {
             bin_count: lists.count,
             pairs_max: capacity.pairs as u32,
@@ -88,20 +86,21 @@ impl PlanSegments {
             partials_max: capacity.partials as u32,
             composites_max: plan.composites.len() as u32,
         };
-        let buffers = [
-            ("required", counters.required.binding()),
-            ("tile_lists", lists.lists.binding()),
-            ("items", plan.items.binding()),
-            ("composites", plan.composites.binding()),
-            ("arguments", counters.arguments.binding()),
-        ];
+        let bindings = Bindings {
+            required: counters.required.bound(),
+            tile_lists: lists.lists.bound(),
+            items: plan.items.bound(),
+            composites: plan.composites.bound(),
+            arguments: counters.arguments.bound(),
+        };
         let waves = waves_for(capacity.pairs.div_ceil(self.segment_pairs as usize));
         recorder.dispatch(
             &self.kernel,
-            &buffers,
-            bytes_of(&push),
+            bindings,
+            push,
             [lists.count.div_ceil(256), waves, 1],
         );
+        plan
     }
 }
 

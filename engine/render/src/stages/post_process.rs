@@ -1,26 +1,13 @@
 //! Post-processing of images: the sky map, and the photometric calibration of cameras.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{PURPOSE, kernel, push_constants};
+use super::PURPOSE;
 use crate::capacity::groups_for;
+use crate::interfaces::post_process::{Bindings, Constants, Module, Push};
 use crate::layout::CameraRecord;
 use crate::output::{ColorFormat, OutputBuffers, Outputs};
 use crate::post_processing::{NO_FOG, PhotometryRecord, ProcessedView, SkyBuffers};
-
-push_constants! {
-    struct Push {
-        right: [f32; 3],
-        down: [f32; 3],
-        forward: [f32; 3],
-        camera: u32,
-        face_texels: u32,
-        clamps_sky: u32,
-        clamps_splats: u32,
-        fog: [f32; 4],
-    }
-}
 
 /// Inputs of [`PostProcess`] beside the blended images.
 #[derive(Clone, Copy)]
@@ -37,10 +24,10 @@ pub struct PostProcessInputs<'a> {
 
 /// `post_process.comp`.
 pub struct PostProcess {
-    without_sky: Kernel,
-    pinhole: Kernel,
+    without_sky: Kernel<Module>,
+    pinhole: Kernel<Module>,
     /// Kernel for cameras that are no pinhole.
-    lens: Kernel,
+    lens: Kernel<Module>,
     /// Buffer for rays and texels that are absent.
     none: Buffer<[f32; 3]>,
 }
@@ -52,12 +39,11 @@ impl PostProcess {
     /// Returns an error if the driver refuses a kernel.
     pub fn new(gpu: &Gpu, outputs: &Outputs) -> Result<Self, GpuError> {
         let built = |sky: bool, lens: bool| {
-            let constants = [
-                ("COLOR_U8", Constant::Bool(outputs.color == ColorFormat::U8)),
-                ("SKY", Constant::Bool(sky)),
-                ("LENS", Constant::Bool(lens)),
-            ];
-            kernel::<Push>(gpu, &decouplegs_shaders::POST_PROCESS, &constants)
+            gpu.kernel(&Constants {
+                color_u8: outputs.color == ColorFormat::U8,
+                sky,
+                lens,
+            })
         };
         Ok(Self {
             without_sky: built(false, false)?,
@@ -83,7 +69,6 @@ impl PostProcess {
             views,
             sky,
         } = inputs;
-        let [images_f32, images_u8, _] = images.bindings();
         for (camera, view) in views.iter().enumerate() {
             let [right, down, forward] = view.sky_from_camera;
             let push = Push {
@@ -103,17 +88,17 @@ impl PostProcess {
             };
             let rays = view.rays.as_ref().unwrap_or(&self.none);
             let texels = sky.map_or(&self.none, |sky| &sky.texels);
-            let bound = [
-                ("cameras", cameras.binding()),
-                ("blended", blended.binding()),
-                ("rays", rays.binding()),
-                ("sky_texels", texels.binding()),
-                ("photometry", photometry.binding()),
-                images_f32,
-                images_u8,
-            ];
+            let bindings = Bindings {
+                cameras: cameras.bound(),
+                blended: blended.bound(),
+                rays: rays.bound(),
+                sky_texels: texels.bound(),
+                photometry: photometry.bound(),
+                images_f32: images.images_f32.bound(),
+                images_u8: images.images_u8.bound(),
+            };
             let groups = groups_for(view.pixels.div_ceil(256));
-            recorder.dispatch(kernel, &bound, bytes_of(&push), groups);
+            recorder.dispatch(kernel, bindings, push, groups);
         }
     }
 }

@@ -1,14 +1,11 @@
 //! Footprint, depth key and color of every visible (camera, splat).
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{
-    CameraVariant, KeptKeys, PURPOSE, ShadowBuffers, Views, Visible, kernel, push_constants,
-    words_for,
-};
+use super::{CameraVariant, KeptKeys, PURPOSE, ShadowBuffers, Views, Visible, words_for};
 use crate::capacity::groups_for;
+use crate::interfaces::project::{Bindings, Constants, Module, Push};
 use crate::layout::{fog_vector, near_m};
 use crate::output::Outputs;
 use crate::plane::{Plane, Planes};
@@ -38,11 +35,6 @@ impl RecordContents {
             depths: planes.has_medians(),
         }
     }
-}
-
-/// Specialization constant of projections whose records have depths for the medians of `planes`.
-pub(super) fn depths_constant(planes: Planes) -> (&'static str, Constant) {
-    ("DEPTHS", Constant::Bool(planes.has_medians()))
 }
 
 /// One entry per visible (camera, splat): by camera, and by splat within a camera.
@@ -133,21 +125,9 @@ pub struct ProjectInputs<'a> {
     pub flow_interval_s: f32,
 }
 
-push_constants! {
-    struct Push {
-        splat_count: u32,
-        camera_count: u32,
-        cluster_count: u32,
-        records_max: u32,
-        shadow_word_count: u32,
-        flow_interval_s: f32,
-        fog: [f32; 4],
-    }
-}
-
 /// `project.comp`.
 pub struct Project {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl Project {
@@ -156,42 +136,42 @@ impl Project {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: ProjectVariant) -> Result<Self, GpuError> {
-        let [lenses, rolling] = variant.cameras.constants();
-        let constants = [
-            ("NEAR_M", Constant::F32(near_m(rules))),
-            ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("SH_DEGREE", Constant::U32(u32::from(variant.sh_degree))),
-            ("RADIAL", Constant::Bool(rules.order == DepthOrder::Radial)),
-            ("LABELS", Constant::Bool(variant.labels)),
-            ("INSTANCES", Constant::Bool(variant.instances)),
-            ("SPLAT_IDS", Constant::Bool(variant.splat_ids)),
-            ("SHADOWS", Constant::Bool(variant.shadows)),
-            (
-                "SHADOWS_BY_CAMERA",
-                Constant::Bool(variant.shadows && variant.shadows_by_camera),
-            ),
-            lenses,
-            rolling,
-            ("FOG", Constant::Bool(variant.fog)),
-            variant.storage.constant(),
-            depths_constant(variant.planes),
-        ];
-        let attributes = variant.planes.attribute_constants();
-        let constants: Vec<_> = constants.into_iter().chain(attributes).collect();
+        let writes = |plane| variant.planes.contains(plane);
+        let constants = Constants {
+            near_m: near_m(rules),
+            antialias: rules.antialias,
+            sh_degree: u32::from(variant.sh_degree),
+            radial: rules.order == DepthOrder::Radial,
+            labels: variant.labels,
+            instances: variant.instances,
+            splat_ids: variant.splat_ids,
+            shadows: variant.shadows,
+            shadows_by_camera: variant.shadows && variant.shadows_by_camera,
+            lenses: variant.cameras.lenses,
+            rolling: variant.cameras.rolling,
+            fog: variant.fog,
+            compact: variant.storage == Storage::Compact,
+            depths: variant.planes.has_medians(),
+            range: writes(Plane::Range),
+            normal: writes(Plane::Normal),
+            flow_forward: writes(Plane::FlowForward),
+            flow_backward: writes(Plane::FlowBackward),
+            scene_flow: writes(Plane::SceneFlow),
+        };
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PROJECT, &constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
-    /// Writes a record and a depth key for every visible splat.
-    pub fn record(
+    /// Writes a record and a depth key for every visible splat to `projected`, and returns it.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         gpu_scene: &GpuScene,
         views: Views<'_>,
         inputs: ProjectInputs<'_>,
-        projected: &Projected,
-    ) {
+        projected: &'a Projected,
+    ) -> &'a Projected {
         let ProjectInputs {
             visible,
             offsets,
@@ -209,34 +189,35 @@ impl Project {
             flow_interval_s,
             fog: fog_vector(gpu_scene.fog.as_ref()),
         };
-        let buffers = [
-            ("cameras", views.cameras.binding()),
-            ("means_m", gpu_scene.means.binding()),
-            ("shapes", gpu_scene.shapes.binding()),
-            ("rotations", gpu_scene.rotations.binding()),
-            ("visible_words", visible.words.binding()),
-            ("offsets", offsets.binding()),
-            ("sh_dc", gpu_scene.sh_dc.binding()),
-            ("sh_band1", gpu_scene.sh_bands[0].binding()),
-            ("sh_band2", gpu_scene.sh_bands[1].binding()),
-            ("sh_band3", gpu_scene.sh_bands[2].binding()),
-            ("instances", gpu_scene.instances.binding()),
-            ("footprints", projected.footprints.binding()),
-            ("labels", projected.labels.binding()),
-            ("attributes", projected.attributes.binding()),
-            ("depths", projected.depths.binding()),
-            ("keys", projected.keys.binding()),
-            ("key_sets", kept.sets.binding()),
-            ("kept_keys", kept.keys.binding()),
-            ("shadows", shadows.shadows.binding()),
-            ("shadow_words", shadows.words.binding()),
-            ("lenses", views.lenses.binding()),
-        ];
+        let bindings = Bindings {
+            cameras: views.cameras.bound(),
+            means_m: gpu_scene.means.bound(),
+            shapes: gpu_scene.shapes.bound(),
+            rotations: gpu_scene.rotations.bound(),
+            visible_words: visible.words.bound(),
+            offsets: offsets.bound(),
+            sh_dc: gpu_scene.sh_dc.bound(),
+            sh_band1: gpu_scene.sh_bands[0].bound(),
+            sh_band2: gpu_scene.sh_bands[1].bound(),
+            sh_band3: gpu_scene.sh_bands[2].bound(),
+            instances: gpu_scene.instances.bound(),
+            footprints: projected.footprints.bound(),
+            labels: projected.labels.bound(),
+            attributes: projected.attributes.bound(),
+            depths: projected.depths.bound(),
+            keys: projected.keys.bound(),
+            key_sets: kept.sets.bound(),
+            kept_keys: kept.keys.bound(),
+            shadows: shadows.shadows.bound(),
+            shadow_words: shadows.words.bound(),
+            lenses: views.lenses.bound(),
+        };
         recorder.dispatch(
             &self.kernel,
-            &buffers,
-            bytes_of(&push),
+            bindings,
+            push,
             groups_for(gpu_scene.cluster_count()),
         );
+        projected
     }
 }

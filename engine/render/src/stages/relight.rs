@@ -1,11 +1,11 @@
 //! Codebooks in the light of their agents.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 
-use super::{PURPOSE, kernel, push_constants};
+use super::PURPOSE;
 use crate::asset_pool::{COLOR_WORDS, PoolBuffers};
 use crate::capacity::groups_for;
+use crate::interfaces::relight::{Bindings, Constants, Module, Push};
 use crate::layout::RelightRecord;
 
 /// Colors that one workgroup relights.
@@ -32,12 +32,6 @@ impl RelitColors {
     }
 }
 
-push_constants! {
-    struct Push {
-        relight_count: u32,
-    }
-}
-
 /// Codebooks that are made.
 #[derive(Clone, Copy)]
 pub struct RelightWork<'a> {
@@ -51,7 +45,7 @@ pub struct RelightWork<'a> {
 
 /// `relight.comp`.
 pub struct Relight {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl Relight {
@@ -60,9 +54,9 @@ impl Relight {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, sh_degree: u8) -> Result<Self, GpuError> {
-        let constants = [("SH_DEGREE", Constant::U32(u32::from(sh_degree)))];
+        let sh_degree = u32::from(sh_degree);
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::RELIGHT, &constants)?,
+            kernel: gpu.kernel(&Constants { sh_degree })?,
         })
     }
 
@@ -77,18 +71,13 @@ impl Relight {
         let push = Push {
             relight_count: work.count as u32,
         };
-        let bound = [
-            ("relights", work.records.binding()),
-            ("coded_dc", pool.color_dc.binding()),
-            ("coded_bands", pool.color_bands.binding()),
-            ("relit_dc", relit.dc.binding()),
-            ("relit_bands", relit.bands.binding()),
-        ];
-        recorder.dispatch(
-            &self.kernel,
-            &bound,
-            bytes_of(&push),
-            groups_for(work.groups),
-        );
+        let bindings = Bindings {
+            relights: work.records.bound(),
+            coded_dc: pool.color_dc.bound(),
+            coded_bands: pool.color_bands.bound().cast(),
+            relit_dc: relit.dc.bound(),
+            relit_bands: relit.bands.bound().cast(),
+        };
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(work.groups));
     }
 }

@@ -59,7 +59,7 @@ impl<T: Pod> Staged<T> {
 
     /// The buffer on the device, for a kernel.
     #[must_use]
-    pub fn binding(&self) -> Bound<'_> {
-        self.device.binding()
+    pub fn bound(&self) -> Bound<'_, T> {
+        self.device.bound()
     }
 }

@@ -4,16 +4,16 @@ mod trace;
 
 pub use trace::{ListLidar, TraceLidar, beam_lanes};
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, Kernel, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, MemoryKind, Recorder};
 use decouplegs_scene::Rules;
 
 use super::{
     AgentBuffers, AgentCounts, FrameCounters, PURPOSE, Projected, RecordContents, Staged,
-    TileSortBuffers, Visible, kernel, push_constants,
+    TileSortBuffers, Visible,
 };
 use crate::asset_pool::PoolBuffers;
 use crate::capacity::{Capacity, groups_for};
+use crate::interfaces::{project_lidar, project_lidar_agents};
 use crate::layout::{
     BeamEchoes, BeamRecord, BeamState, CAMERAS_MAX, CameraRecord, FINE_TILES, FiringRecord,
     RequiredCounts, SectorRecord, View,
@@ -36,17 +36,6 @@ pub struct LidarVariant {
     pub storage: Storage,
     /// Lanes of a subgroup that share a beam: [`beam_lanes`].
     pub beam_lanes: u32,
-}
-
-impl LidarVariant {
-    fn constants(self, rules: &Rules, write: bool) -> [(&'static str, Constant); 4] {
-        [
-            ("ANTIALIAS", Constant::Bool(rules.antialias)),
-            ("WRITE", Constant::Bool(write)),
-            ("DILATION_RAD", Constant::F32(self.dilation_rad)),
-            ("MOVING", Constant::Bool(self.moving)),
-        ]
-    }
 }
 
 /// Sectors of a sweep on the device.
@@ -253,19 +242,10 @@ pub enum LidarPass {
     Write,
 }
 
-push_constants! {
-    struct ProjectPush {
-        splat_count: u32,
-        camera_count: u32,
-        cluster_count: u32,
-        records_max: u32,
-    }
-}
-
 /// `project_lidar.comp`.
 pub struct ProjectLidar {
-    mark: Kernel,
-    write: Kernel,
+    mark: Kernel<project_lidar::Module>,
+    write: Kernel<project_lidar::Module>,
 }
 
 impl ProjectLidar {
@@ -275,11 +255,14 @@ impl ProjectLidar {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
         let build = |write| {
-            let [a, b, c, d] = variant.constants(rules, write);
-            let instances = ("INSTANCES", Constant::Bool(variant.instances));
-            let shader = &decouplegs_shaders::PROJECT_LIDAR;
-            let storage = variant.storage.constant();
-            kernel::<ProjectPush>(gpu, shader, &[a, b, c, d, instances, storage])
+            gpu.kernel(&project_lidar::Constants {
+                antialias: rules.antialias,
+                write,
+                instances: variant.instances,
+                dilation_rad: variant.dilation_rad,
+                moving: variant.moving,
+                compact: variant.storage == Storage::Compact,
+            })
         };
         Ok(Self {
             mark: build(false)?,
@@ -296,37 +279,37 @@ impl ProjectLidar {
         sectors: &SectorBuffers,
         buffers: &LidarBuffers,
     ) {
-        let push = ProjectPush {
+        let push = project_lidar::Push {
             splat_count: gpu_scene.splats as u32,
             camera_count: sectors.count as u32,
             cluster_count: gpu_scene.finest_clusters as u32,
             records_max: buffers.projected.room() as u32,
         };
-        let bound = [
-            ("cameras", sectors.cameras.binding()),
-            ("means_m", gpu_scene.means.binding()),
-            ("shapes", gpu_scene.shapes.binding()),
-            ("rotations", gpu_scene.rotations.binding()),
-            ("visible_words", buffers.visible.words.binding()),
-            ("visible_counts", buffers.visible.counts.binding()),
-            ("offsets", buffers.offsets.binding()),
-            ("clusters", gpu_scene.clusters.binding()),
-            ("sh_dc", gpu_scene.sh_dc.binding()),
-            ("instances", gpu_scene.instances.binding()),
-            ("footprints", buffers.projected.footprints.binding()),
-            ("looks", buffers.looks.binding()),
-            ("keys", buffers.projected.keys.binding()),
-            ("lidar_shapes", buffers.shapes.binding()),
-            ("sectors", sectors.sectors.binding()),
-            ("column_bounds", sectors.column_bounds.binding()),
-            ("row_bounds", sectors.row_bounds.binding()),
-        ];
+        let bindings = project_lidar::Bindings {
+            cameras: sectors.cameras.bound(),
+            means_m: gpu_scene.means.bound(),
+            shapes: gpu_scene.shapes.bound(),
+            rotations: gpu_scene.rotations.bound(),
+            visible_words: buffers.visible.words.bound(),
+            visible_counts: buffers.visible.counts.bound(),
+            offsets: buffers.offsets.bound(),
+            clusters: gpu_scene.clusters.bound(),
+            sh_dc: gpu_scene.sh_dc.bound(),
+            instances: gpu_scene.instances.bound(),
+            footprints: buffers.projected.footprints.bound(),
+            looks: buffers.looks.bound(),
+            keys: buffers.projected.keys.bound(),
+            lidar_shapes: buffers.shapes.bound(),
+            sectors: sectors.sectors.bound(),
+            column_bounds: sectors.column_bounds.bound(),
+            row_bounds: sectors.row_bounds.bound(),
+        };
         let kernel = match pass {
             LidarPass::Mark => &self.mark,
             LidarPass::Write => &self.write,
         };
         let groups = groups_for(gpu_scene.finest_clusters);
-        recorder.dispatch(kernel, &bound, bytes_of(&push), groups);
+        recorder.dispatch(kernel, bindings, push, groups);
     }
 }
 
@@ -343,20 +326,10 @@ pub struct LidarAgents<'a> {
     pub static_lists: usize,
 }
 
-push_constants! {
-    struct AgentsPush {
-        agent_count: u32,
-        camera_count: u32,
-        cluster_count: u32,
-        records_max: u32,
-        static_lists: u32,
-    }
-}
-
 /// `project_lidar_agents.comp`.
 pub struct ProjectLidarAgents {
-    mark: Kernel,
-    write: Kernel,
+    mark: Kernel<project_lidar_agents::Module>,
+    write: Kernel<project_lidar_agents::Module>,
 }
 
 impl ProjectLidarAgents {
@@ -366,9 +339,12 @@ impl ProjectLidarAgents {
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
         let build = |write| {
-            let constants = variant.constants(rules, write);
-            let shader = &decouplegs_shaders::PROJECT_LIDAR_AGENTS;
-            kernel::<AgentsPush>(gpu, shader, &constants)
+            gpu.kernel(&project_lidar_agents::Constants {
+                antialias: rules.antialias,
+                write,
+                dilation_rad: variant.dilation_rad,
+                moving: variant.moving,
+            })
         };
         Ok(Self {
             mark: build(false)?,
@@ -391,36 +367,36 @@ impl ProjectLidarAgents {
             counts,
             static_lists,
         } = *agents;
-        let push = AgentsPush {
+        let push = project_lidar_agents::Push {
             agent_count: counts.agents as u32,
             camera_count: counts.cameras as u32,
             cluster_count: counts.clusters as u32,
             records_max: buffers.projected.room() as u32,
             static_lists: static_lists as u32,
         };
-        let bound = [
-            ("agents", agents.agents.binding()),
-            ("agent_cameras", agents.cameras.binding()),
-            ("coded_splats", pool.splats.binding()),
-            ("coded_shapes", pool.shapes.binding()),
-            ("visible_words", agents.visible.words.binding()),
-            ("visible_counts", agents.visible.counts.binding()),
-            ("offsets", agents.offsets.binding()),
-            ("asset_clusters", pool.clusters.binding()),
-            ("coded_dc", pool.color_dc.binding()),
-            ("static_offsets", buffers.offsets.binding()),
-            ("footprints", buffers.projected.footprints.binding()),
-            ("looks", buffers.looks.binding()),
-            ("keys", buffers.projected.keys.binding()),
-            ("lidar_shapes", buffers.shapes.binding()),
-            ("sectors", sectors.sectors.binding()),
-            ("column_bounds", sectors.column_bounds.binding()),
-            ("row_bounds", sectors.row_bounds.binding()),
-        ];
+        let bindings = project_lidar_agents::Bindings {
+            agents: agents.agents.bound(),
+            agent_cameras: agents.cameras.bound(),
+            coded_splats: pool.splats.bound(),
+            coded_shapes: pool.shapes.bound().cast(),
+            visible_words: agents.visible.words.bound(),
+            visible_counts: agents.visible.counts.bound(),
+            offsets: agents.offsets.bound(),
+            asset_clusters: pool.clusters.bound(),
+            coded_dc: pool.color_dc.bound(),
+            static_offsets: buffers.offsets.bound(),
+            footprints: buffers.projected.footprints.bound(),
+            looks: buffers.looks.bound(),
+            keys: buffers.projected.keys.bound(),
+            lidar_shapes: buffers.shapes.bound(),
+            sectors: sectors.sectors.bound(),
+            column_bounds: sectors.column_bounds.bound(),
+            row_bounds: sectors.row_bounds.bound(),
+        };
         let kernel = match pass {
             LidarPass::Mark => &self.mark,
             LidarPass::Write => &self.write,
         };
-        recorder.dispatch(kernel, &bound, bytes_of(&push), groups_for(counts.clusters));
+        recorder.dispatch(kernel, bindings, push, groups_for(counts.clusters));
     }
 }

@@ -2,14 +2,13 @@
 
 use std::ops::Range;
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Constant, DeviceKind, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_gpu::{DeviceKind, Gpu, GpuError, Kernel, Recorder};
 use decouplegs_scene::Rules;
 
 use super::{LidarBuffers, LidarVariant, SectorBuffers};
 use crate::capacity::groups_for;
+use crate::interfaces::{list_lidar, trace_lidar};
 use crate::layout::FINE_TILES;
-use crate::stages::{kernel, push_constants};
 
 /// Beams up to which four lanes share a beam. A device is full with them, and then two are faster
 /// (`benches/README.md`).
@@ -26,21 +25,12 @@ pub fn beam_lanes(gpu: &Gpu, beams: usize) -> u32 {
     }
 }
 
-push_constants! {
-    struct ListPush {
-        camera_count: u32,
-        bin_count: u32,
-        records_max: u32,
-        pairs_max: u32,
-    }
-}
-
 /// Workgroups of the list of a coarse tile; `LIST_GROUPS` in the kernel.
 const LIST_GROUPS: usize = 32;
 
 /// `list_lidar.comp`.
 pub struct ListLidar {
-    kernel: Kernel,
+    kernel: Kernel<list_lidar::Module>,
 }
 
 impl ListLidar {
@@ -49,51 +39,40 @@ impl ListLidar {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let constants = [("LANES", Constant::U32(gpu.limits().subgroup_size))];
-        let shader = &decouplegs_shaders::LIST_LIDAR;
+        let constants = list_lidar::Constants {
+            lanes: gpu.limits().subgroup_size,
+        };
         Ok(Self {
-            kernel: kernel::<ListPush>(gpu, shader, &constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
     /// Records the lists of fine tiles, of the sorted lists of all coarse tiles. The buffer of
     /// pairs then has records and their cells.
     pub fn record(&self, recorder: &mut Recorder, sectors: &SectorBuffers, buffers: &LidarBuffers) {
-        let push = ListPush {
+        let push = list_lidar::Push {
             camera_count: sectors.count as u32,
             bin_count: sectors.bins,
             records_max: buffers.projected.room() as u32,
             pairs_max: buffers.lists.pairs.len() as u32,
         };
-        let bound = [
-            ("cameras", sectors.cameras.binding()),
-            ("tile_lists", buffers.lists.tile_lists.binding()),
-            ("sorted_records", buffers.lists.sorted_records.binding()),
-            ("footprints", buffers.projected.footprints.binding()),
-            ("tile_words", buffers.tile_words.binding()),
-            ("pairs", buffers.lists.pairs.binding()),
-            ("required", buffers.counters.required.binding()),
-        ];
+        let bindings = list_lidar::Bindings {
+            cameras: sectors.cameras.bound(),
+            tile_lists: buffers.lists.tile_lists.bound(),
+            sorted_records: buffers.lists.sorted_records.bound(),
+            footprints: buffers.projected.footprints.bound(),
+            tile_words: buffers.tile_words.bound(),
+            pairs: buffers.lists.pairs.bound(),
+            required: buffers.counters.required.bound(),
+        };
         let groups = groups_for(sectors.bins as usize * LIST_GROUPS);
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups);
-    }
-}
-
-push_constants! {
-    struct TracePush {
-        camera_count: u32,
-        bin_count: u32,
-        first_entry: u32,
-        entries_max: u32,
-        range_min_m: f32,
-        records_max: u32,
-        pairs_max: u32,
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }
 
 /// `trace_lidar.comp`.
 pub struct TraceLidar {
-    kernel: Kernel,
+    kernel: Kernel<trace_lidar::Module>,
     beam_lanes: usize,
 }
 
@@ -103,16 +82,15 @@ impl TraceLidar {
     /// # Errors
     /// Returns an error if the driver refuses the kernel.
     pub fn new(gpu: &Gpu, rules: &Rules, variant: LidarVariant) -> Result<Self, GpuError> {
-        let constants = [
-            ("LANES", Constant::U32(gpu.limits().subgroup_size)),
-            ("BEAM_LANES", Constant::U32(variant.beam_lanes)),
-            ("ALPHA_MAX", Constant::F32(rules.alpha_max as f32)),
-            ("MOVING", Constant::Bool(variant.moving)),
-            ("ECHOES", Constant::Bool(variant.echoes)),
-        ];
-        let shader = &decouplegs_shaders::TRACE_LIDAR;
+        let constants = trace_lidar::Constants {
+            lanes: gpu.limits().subgroup_size,
+            beam_lanes: variant.beam_lanes,
+            alpha_max: rules.alpha_max as f32,
+            moving: variant.moving,
+            echoes: variant.echoes,
+        };
         Ok(Self {
-            kernel: kernel::<TracePush>(gpu, shader, &constants)?,
+            kernel: gpu.kernel(&constants)?,
             beam_lanes: variant.beam_lanes as usize,
         })
     }
@@ -127,7 +105,7 @@ impl TraceLidar {
         entries: Range<u32>,
         range_min_m: f32,
     ) {
-        let push = TracePush {
+        let push = trace_lidar::Push {
             camera_count: sectors.count as u32,
             bin_count: sectors.bins,
             first_entry: entries.start,
@@ -136,21 +114,21 @@ impl TraceLidar {
             records_max: buffers.projected.room() as u32,
             pairs_max: buffers.lists.pairs.len() as u32,
         };
-        let bound = [
-            ("cameras", sectors.cameras.binding()),
-            ("tile_lists", buffers.lists.tile_lists.binding()),
-            ("pairs", buffers.lists.pairs.binding()),
-            ("footprints", buffers.projected.footprints.binding()),
-            ("looks", buffers.looks.binding()),
-            ("lidar_shapes", buffers.shapes.binding()),
-            ("beams", sectors.beams.binding()),
-            ("firings", sectors.firings.binding()),
-            ("states", buffers.states.binding()),
-            ("echoes", buffers.echoes.binding()),
-            ("tile_words", buffers.tile_words.binding()),
-            ("required", buffers.counters.required.binding()),
-        ];
+        let bindings = trace_lidar::Bindings {
+            cameras: sectors.cameras.bound(),
+            tile_lists: buffers.lists.tile_lists.bound(),
+            pairs: buffers.lists.pairs.bound(),
+            footprints: buffers.projected.footprints.bound(),
+            looks: buffers.looks.bound(),
+            lidar_shapes: buffers.shapes.bound(),
+            beams: sectors.beams.bound(),
+            firings: sectors.firings.bound(),
+            states: buffers.states.bound(),
+            echoes: buffers.echoes.bound(),
+            tile_words: buffers.tile_words.bound(),
+            required: buffers.counters.required.bound(),
+        };
         let groups = groups_for(sectors.bins as usize * FINE_TILES * self.beam_lanes);
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), groups);
+        recorder.dispatch(&self.kernel, bindings, push, groups);
     }
 }

@@ -1,22 +1,14 @@
 //! Tile binning: (coarse tile, record) pairs by depth slab, written.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
 use super::{RecordKind, Records, TileSortBuffers};
-use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
-
-push_constants! {
-    struct Push {
-        camera_count: u32,
-        records_max: u32,
-        pairs_max: u32,
-    }
-}
+use crate::interfaces::fill_pairs::{Bindings, Constants, Module, Push};
+use crate::stages::{FrameCounters, IndirectArguments, least_response};
 
 /// `fill_pairs.comp`.
 pub struct FillPairs {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl FillPairs {
@@ -25,9 +17,15 @@ impl FillPairs {
     /// # Errors
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, kind: RecordKind) -> Result<Self, GpuError> {
-        let constants = kind.constants();
+        let (least_response, least_response_squares) = least_response(kind.squares_max);
+        let constants = Constants {
+            radial: kind.radial,
+            lidar: kind.lidar,
+            least_response,
+            least_response_squares,
+        };
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::FILL_PAIRS, &constants)?,
+            kernel: gpu.kernel(&constants)?,
         })
     }
 
@@ -44,24 +42,18 @@ impl FillPairs {
             records_max: records.projected.room() as u32,
             pairs_max: buffers.pairs.len() as u32,
         };
-        let bound = [
-            ("cameras", records.cameras.binding()),
-            ("required", counters.required.binding()),
-            ("lists", buffers.lists.binding()),
-            ("keys", records.projected.keys.binding()),
-            ("footprints", records.projected.footprints.binding()),
-            ("slab_counts", buffers.slab_counts.binding()),
-            ("reaches", buffers.reaches.binding()),
-            ("large_records", buffers.large_records.binding()),
-            ("pairs", buffers.pairs.binding()),
-        ];
+        let bindings = Bindings {
+            cameras: records.cameras.bound(),
+            required: counters.required.bound(),
+            lists: buffers.lists.bound(),
+            keys: records.projected.keys.bound(),
+            footprints: records.projected.footprints.bound(),
+            slab_counts: buffers.slab_counts.bound(),
+            reaches: buffers.reaches.bound(),
+            large_records: buffers.large_records.bound(),
+            pairs: buffers.pairs.bound(),
+        };
         let offset = IndirectArguments::Fill.byte_offset();
-        recorder.dispatch_indirect(
-            &self.kernel,
-            &bound,
-            bytes_of(&push),
-            counters.arguments.binding(),
-            offset,
-        );
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }

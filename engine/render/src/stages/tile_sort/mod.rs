@@ -21,10 +21,10 @@ pub use plan_lists::PlanLists;
 pub use sort_buckets::SortBuckets;
 pub use split_slabs::SplitSlabs;
 
-use decouplegs_gpu::{Buffer, Constant, Gpu, GpuError, MemoryKind, Recorder};
+use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::{DepthOrder, Rules};
 
-use super::{FrameCounters, PURPOSE, Projected, TileLists, least_response};
+use super::{FrameCounters, PURPOSE, Projected, SortedLists, TileLists};
 use crate::capacity::Capacity;
 use crate::layout::{BUCKET_PAIRS, Bucket, CameraRecord, SLABS, ViewLists, response_squares_max};
 
@@ -124,19 +124,6 @@ pub struct RecordKind {
     pub squares_max: f32,
 }
 
-impl RecordKind {
-    /// Specialization constants of the kernels that find the coarse tiles of records.
-    fn constants(self) -> [(&'static str, Constant); 4] {
-        let [least, squares] = least_response(self.squares_max);
-        [
-            ("RADIAL", Constant::Bool(self.radial)),
-            ("LIDAR", Constant::Bool(self.lidar)),
-            least,
-            squares,
-        ]
-    }
-}
-
 /// The stages of the sort.
 pub struct TileSort {
     plan_lists: PlanLists,
@@ -186,15 +173,15 @@ impl TileSort {
         })
     }
 
-    /// Writes the sorted lists of `bins` coarse tiles to `buffers`.
-    pub fn record(
+    /// Writes the sorted lists of `bins` coarse tiles to `buffers`, and returns them.
+    pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
         counters: &FrameCounters,
         records: Records<'_>,
-        buffers: &TileSortBuffers,
+        buffers: &'a TileSortBuffers,
         bins: u32,
-    ) {
+    ) -> SortedLists<'a> {
         recorder.stage("bin", |r| {
             self.plan_lists.record(r, counters, records, buffers);
             self.count.record(r, counters, records, buffers);
@@ -205,5 +192,9 @@ impl TileSort {
             self.split.record(r, counters, records, buffers);
             self.sort.record(r, counters, records, buffers);
         });
+        SortedLists {
+            lists: buffers.lists_of(bins),
+            records: &buffers.sorted_records,
+        }
     }
 }

@@ -1,25 +1,16 @@
 //! Stretches of the pair buffer for coarse tiles and their depth slabs, and the buckets that are
 //! sorted.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
 use super::TileSortBuffers;
 use crate::capacity::groups_for;
-use crate::stages::{FrameCounters, kernel, push_constants};
-
-push_constants! {
-    struct Push {
-        bin_count: u32,
-        buckets_max: u32,
-        pairs_max: u32,
-        records_max: u32,
-    }
-}
+use crate::interfaces::plan_buckets::{Bindings, Constants, Module, Push};
+use crate::stages::FrameCounters;
 
 /// `plan_buckets.comp`.
 pub struct PlanBuckets {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl PlanBuckets {
@@ -29,7 +20,7 @@ impl PlanBuckets {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_BUCKETS, &[])?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -48,18 +39,13 @@ impl PlanBuckets {
             pairs_max: buffers.pairs.len() as u32,
             records_max: buffers.reaches.len() as u32,
         };
-        let bound = [
-            ("required", counters.required.binding()),
-            ("slab_counts", buffers.slab_counts.binding()),
-            ("tile_lists", buffers.tile_lists.binding()),
-            ("buckets", buffers.buckets.binding()),
-            ("arguments", counters.arguments.binding()),
-        ];
-        recorder.dispatch(
-            &self.kernel,
-            &bound,
-            bytes_of(&push),
-            groups_for(bins as usize),
-        );
+        let bindings = Bindings {
+            required: counters.required.bound(),
+            slab_counts: buffers.slab_counts.bound().cast(),
+            tile_lists: buffers.tile_lists.bound(),
+            buckets: buffers.buckets.bound(),
+            arguments: counters.arguments.bound(),
+        };
+        recorder.dispatch(&self.kernel, bindings, push, groups_for(bins as usize));
     }
 }

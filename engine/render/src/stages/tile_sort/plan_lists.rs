@@ -1,24 +1,14 @@
 //! First records of each camera, and the dispatch that bins them.
 
-use bytemuck::bytes_of;
 use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
-use crate::stages::{FrameCounters, kernel, push_constants};
-
-push_constants! {
-    struct Push {
-        camera_count: u32,
-        static_clusters: u32,
-        moving_clusters: u32,
-        records_max: u32,
-        moving_only: u32,
-    }
-}
+use crate::interfaces::plan_lists::{Bindings, Constants, Module, Push};
+use crate::stages::FrameCounters;
 
 /// `plan_lists.comp`.
 pub struct PlanLists {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl PlanLists {
@@ -28,7 +18,7 @@ impl PlanLists {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(gpu, &decouplegs_shaders::PLAN_LISTS, &[])?,
+            kernel: gpu.kernel(&Constants {})?,
         })
     }
 
@@ -47,13 +37,13 @@ impl PlanLists {
             records_max: records.projected.room() as u32,
             moving_only: u32::from(records.moving_only),
         };
-        let bound = [
-            ("static_offsets", records.static_offsets.binding()),
-            ("moving_offsets", records.moving_offsets.binding()),
-            ("lists", buffers.lists.binding()),
-            ("required", counters.required.binding()),
-            ("arguments", counters.arguments.binding()),
-        ];
-        recorder.dispatch(&self.kernel, &bound, bytes_of(&push), [1, 1, 1]);
+        let bindings = Bindings {
+            static_offsets: records.static_offsets.bound(),
+            moving_offsets: records.moving_offsets.bound(),
+            lists: buffers.lists.bound(),
+            required: counters.required.bound(),
+            arguments: counters.arguments.bound(),
+        };
+        recorder.dispatch(&self.kernel, bindings, push, [1, 1, 1]);
     }
 }

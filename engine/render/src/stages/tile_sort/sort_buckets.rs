@@ -1,21 +1,14 @@
 //! Buckets of pairs, each sorted by depth key and record.
 
-use bytemuck::bytes_of;
-use decouplegs_gpu::{Constant, Gpu, GpuError, Kernel, Recorder};
+use decouplegs_gpu::{Gpu, GpuError, Kernel, Recorder};
 
 use super::{Records, TileSortBuffers};
-use crate::stages::{FrameCounters, IndirectArguments, kernel, push_constants};
-
-push_constants! {
-    struct Push {
-        pairs_max: u32,
-        camera_count: u32,
-    }
-}
+use crate::interfaces::sort_buckets::{Bindings, Constants, Module, Push};
+use crate::stages::{FrameCounters, IndirectArguments};
 
 /// `sort_buckets.comp`.
 pub struct SortBuckets {
-    kernel: Kernel,
+    kernel: Kernel<Module>,
 }
 
 impl SortBuckets {
@@ -25,11 +18,7 @@ impl SortBuckets {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
         Ok(Self {
-            kernel: kernel::<Push>(
-                gpu,
-                &decouplegs_shaders::SORT_BUCKETS,
-                &[("RADIAL", Constant::Bool(radial))],
-            )?,
+            kernel: gpu.kernel(&Constants { radial })?,
         })
     }
 
@@ -45,22 +34,16 @@ impl SortBuckets {
             pairs_max: buffers.pairs.len() as u32,
             camera_count: records.camera_count as u32,
         };
-        let bound = [
-            ("required", counters.required.binding()),
-            ("buckets", buffers.buckets.binding()),
-            ("pairs", buffers.pairs.binding()),
-            ("other_keys", records.other_keys.binding()),
-            ("sorted_records", buffers.sorted_records.binding()),
-            ("cameras", records.cameras.binding()),
-            ("slab_ends", buffers.slab_counts.binding()),
-        ];
+        let bindings = Bindings {
+            required: counters.required.bound(),
+            buckets: buffers.buckets.bound(),
+            pairs: buffers.pairs.bound(),
+            other_keys: records.other_keys.bound(),
+            sorted_records: buffers.sorted_records.bound(),
+            cameras: records.cameras.bound(),
+            slab_ends: buffers.slab_counts.bound(),
+        };
         let offset = IndirectArguments::Sort.byte_offset();
-        recorder.dispatch_indirect(
-            &self.kernel,
-            &bound,
-            bytes_of(&push),
-            counters.arguments.binding(),
-            offset,
-        );
+        recorder.dispatch_indirect(&self.kernel, bindings, push, &counters.arguments, offset);
     }
 }

@@ -1,9 +1,9 @@
 //! Reflection of a SPIR-V module: bindings by name, push constants, specialization constants,
 //! workgroup size.
 
-use super::{
-    Access,
-    module::{Declarations, Kind, Type, decoration},
+use crate::{
+    Access, Binding, Interface, Kind, Member, Record, Size, SpecConstant,
+    module::{DEPTH_MAX, Declarations, TOO_LARGE, Type, decoration},
 };
 
 const BUILT_IN_WORKGROUP_SIZE: u32 = 25;
@@ -12,72 +12,29 @@ const CLASS_UNIFORM: u32 = 2;
 const CLASS_PUSH_CONSTANT: u32 = 9;
 const CLASS_STORAGE_BUFFER: u32 = 12;
 
-/// A compute module's interface.
-#[derive(Debug)]
-pub(crate) struct Interface {
-    pub(crate) entry_point: String,
-    /// Bindings in the order of their number.
-    pub(crate) bindings: Vec<ReflectedBinding>,
-    pub(crate) push: Option<Block>,
-    pub(crate) constants: Vec<ReflectedConstant>,
-    /// Numbers of the declared capabilities.
-    pub(crate) capabilities: Vec<u32>,
-    workgroup: [Size; 3],
-}
-
-#[derive(Debug)]
-pub(crate) struct ReflectedBinding {
-    pub(crate) name: String,
-    pub(crate) binding: u32,
-    pub(crate) access: Access,
-    /// True for a uniform buffer, false for a storage buffer.
-    pub(crate) uniform: bool,
-    pub(crate) block: Block,
-}
-
-/// The memory layout of what a buffer holds.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Block {
-    /// Names and offsets of the members; of the element's, where the block is nothing but an array
-    /// of structures.
-    pub(crate) members: Vec<(String, u32)>,
-    /// Bytes from element to element, where the block is nothing but an array.
-    pub(crate) stride: Option<u32>,
-    /// Size without a trailing array of open length.
-    pub(crate) bytes: u32,
-}
-
-#[derive(Debug)]
-pub(crate) struct ReflectedConstant {
-    pub(crate) name: String,
-    pub(crate) spec_id: u32,
-    pub(crate) kind: Kind,
-}
-
-/// A workgroup's size along one axis: a number, which a specialization constant may replace.
-#[derive(Clone, Copy, Debug)]
-struct Size {
-    value: u32,
-    spec_id: Option<u32>,
-}
-
-impl Interface {
-    /// The workgroup size when the constants in `specialized`, by their ids, have these bits.
-    pub(crate) fn workgroup_size(&self, specialized: &[(u32, u32)]) -> [u32; 3] {
-        self.workgroup.map(|size| {
-            let replaced = specialized.iter().find(|(id, _)| Some(*id) == size.spec_id);
-            replaced.map_or(size.value, |(_, bits)| *bits)
-        })
-    }
-}
-
 /// Reads the module's interface.
 ///
 /// # Errors
 /// A sentence, when it is no SPIR-V, has no compute entry point, or binds something other than
 /// storage and uniform buffers in set 0.
-pub(crate) fn reflect(words: &[u32]) -> Result<Interface, String> {
+pub fn reflect(words: &[u32]) -> Result<Interface, String> {
     Declarations::parse(words)?.interface()
+}
+
+/// Structures in the buffers of a module, each behind those that it holds.
+///
+/// # Errors
+/// A sentence, as [`reflect`].
+pub fn records(words: &[u32]) -> Result<Vec<Record>, String> {
+    let declarations = Declarations::parse(words)?;
+    let mut found = Vec::new();
+    for &(_, pointer, class) in &declarations.variables {
+        if [CLASS_STORAGE_BUFFER, CLASS_UNIFORM].contains(&class) {
+            let held = declarations.held(declarations.pointee(pointer)?);
+            declarations.add_records(held, 0, &mut found)?;
+        }
+    }
+    Ok(found)
 }
 
 impl Declarations {
@@ -87,14 +44,17 @@ impl Declarations {
             .clone()
             .ok_or("the SPIR-V module has no compute entry point")?;
         let mut bindings = Vec::new();
-        let mut push = None;
+        let (mut push, mut push_bytes) = (Vec::new(), 0);
         for &(id, pointer, class) in &self.variables {
             match class {
                 CLASS_STORAGE_BUFFER => bindings.push(self.binding(id, pointer, false)?),
                 CLASS_UNIFORM if self.is_block(pointer) => {
                     bindings.push(self.binding(id, pointer, true)?);
                 }
-                CLASS_PUSH_CONSTANT => push = Some(self.block(self.pointee(pointer)?)?),
+                CLASS_PUSH_CONSTANT => {
+                    let block = self.pointee(pointer)?;
+                    (push, push_bytes) = (self.members(block)?, self.bytes(block, 0)?);
+                }
                 CLASS_UNIFORM | CLASS_UNIFORM_CONSTANT => {
                     return Err(format!(
                         "{} is neither a storage nor a uniform buffer, and nothing else can be bound",
@@ -104,24 +64,25 @@ impl Declarations {
                 _ => {}
             }
         }
-        bindings.sort_by_key(|binding| binding.binding);
+        bindings.sort_by_key(|binding: &Binding| binding.number);
         for pair in bindings.windows(2) {
-            if pair[0].binding == pair[1].binding {
+            if pair[0].number == pair[1].number {
                 return Err(format!(
                     "{} and {} share binding {}",
-                    pair[0].name, pair[1].name, pair[0].binding
+                    pair[0].name, pair[1].name, pair[0].number
                 ));
             }
         }
         let workgroup = self.workgroup()?;
         let constants = self.specialization_constants(&workgroup);
         Ok(Interface {
-            entry_point,
-            bindings,
-            push,
-            constants,
+            entry_point: entry_point.into(),
+            bindings: bindings.into(),
+            push: push.into(),
+            push_bytes,
+            constants: constants.into(),
             workgroup,
-            capabilities: self.capabilities,
+            capabilities: self.capabilities.into(),
         })
     }
 
@@ -132,7 +93,7 @@ impl Declarations {
             .is_ok_and(|block| self.decorations.contains_key(&(block, decoration::BLOCK)))
     }
 
-    fn binding(&self, id: u32, pointer: u32, uniform: bool) -> Result<ReflectedBinding, String> {
+    fn binding(&self, id: u32, pointer: u32, uniform: bool) -> Result<Binding, String> {
         let block_id = self.pointee(pointer)?;
         let name = self.binding_name(id, block_id);
         let of = |decoration| self.decorations.get(&(id, decoration)).copied();
@@ -144,7 +105,7 @@ impl Declarations {
                 ));
             }
         }
-        let binding =
+        let number =
             of(decoration::BINDING).ok_or_else(|| format!("{name} has no binding number"))?;
         let Some(Type::Struct { members }) = self.types.get(&block_id) else {
             return Err(format!(
@@ -165,12 +126,13 @@ impl Declarations {
             (false, true) => Access::Write,
             (false, false) => Access::ReadWrite,
         };
-        Ok(ReflectedBinding {
-            binding,
+        let bytes = self.bytes(block_id, 0)?;
+        Ok(Binding {
+            number,
             access,
-            uniform,
-            block: self.block(block_id)?,
-            name,
+            holds: self.type_text(self.held(block_id), 0)?.into(),
+            uniform_bytes: uniform.then_some(bytes),
+            name: name.into(),
         })
     }
 
@@ -191,44 +153,61 @@ impl Declarations {
             .unwrap_or_default()
     }
 
-    fn block(&self, id: u32) -> Result<Block, String> {
-        let bytes = self.bytes(id, 0)?;
+    /// Type of the values in a buffer: the elements, where the block is nothing but an array; its
+    /// only member, where it has one; else the block itself.
+    fn held(&self, block: u32) -> u32 {
+        let Some(Type::Struct { members }) = self.types.get(&block) else {
+            return block;
+        };
+        match members[..] {
+            [only] => match self.types.get(&only) {
+                Some(Type::Array { element, .. }) => *element,
+                _ => only,
+            },
+            _ => block,
+        }
+    }
+
+    /// Members of structure `id`.
+    fn members(&self, id: u32) -> Result<Vec<Member>, String> {
         let Some(Type::Struct { members }) = self.types.get(&id) else {
             return Err("the SPIR-V module has a buffer that is no structure".into());
         };
-        if let [only] = members[..] {
-            match self.types.get(&only) {
-                Some(Type::Array { element, .. }) => {
-                    let described = if self.is_struct(*element) {
-                        *element
-                    } else {
-                        id
-                    };
-                    let stride = self
-                        .decorations
-                        .get(&(only, decoration::ARRAY_STRIDE))
-                        .copied();
-                    return Ok(Block {
-                        members: self.members(described),
-                        stride,
-                        bytes,
-                    });
-                }
-                Some(Type::Struct { .. }) => {
-                    return Ok(Block {
-                        members: self.members(only),
-                        stride: None,
-                        bytes,
-                    });
-                }
-                _ => {}
-            }
+        let member = |(i, of): (u32, &u32)| {
+            let name = self.member_names.get(&(id, i)).cloned().unwrap_or_default();
+            let offset = self.member_decorations.get(&(id, i, decoration::OFFSET));
+            Ok(Member {
+                name: name.into(),
+                holds: self.type_text(*of, 0)?.into(),
+                offset: offset.copied().unwrap_or(0),
+            })
+        };
+        (0..).zip(members).map(member).collect()
+    }
+
+    /// Adds structure `id`, and before it those that it holds, unless they are there.
+    fn add_records(&self, id: u32, depth: usize, found: &mut Vec<Record>) -> Result<(), String> {
+        if depth > DEPTH_MAX {
+            return Err(TOO_LARGE.to_owned());
         }
-        Ok(Block {
-            members: self.members(id),
-            stride: None,
-            bytes,
-        })
+        match self.types.get(&id) {
+            Some(Type::Array { element, .. }) => self.add_records(*element, depth + 1, found),
+            Some(Type::Struct { members }) => {
+                for member in members {
+                    self.add_records(*member, depth + 1, found)?;
+                }
+                let record = Record {
+                    name: self.named(id),
+                    members: self.members(id)?,
+                    bytes: self.bytes(id, 0)?,
+                };
+                if !found.contains(&record) {
+                    found.push(record);
+                }
+                Ok(())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// `WorkgroupSize`, where a module has it, goes before the execution mode.
@@ -256,18 +235,15 @@ impl Declarations {
                     ),
                 }
             }
-            (None, Some(sizes)) => Ok(sizes.map(|value| Size {
-                value,
-                spec_id: None,
-            })),
+            (None, Some(sizes)) => Ok(sizes.map(Size::fixed)),
             (None, None) => Err("the SPIR-V module has no workgroup size".into()),
         }
     }
 
     /// Specialization constants with a name, as only they can be set. Compilers drop the name of a
     /// constant that only sizes the workgroup, so it is named after its purpose.
-    fn specialization_constants(&self, workgroup: &[Size; 3]) -> Vec<ReflectedConstant> {
-        let mut found: Vec<ReflectedConstant> = self
+    fn specialization_constants(&self, workgroup: &[Size; 3]) -> Vec<SpecConstant> {
+        let mut found: Vec<SpecConstant> = self
             .constants
             .iter()
             .filter_map(|(id, (of, _))| {
@@ -277,8 +253,8 @@ impl Declarations {
                     Some(Type::Scalar { kind, .. }) => *kind,
                     _ => Kind::Other,
                 };
-                Some(ReflectedConstant {
-                    name,
+                Some(SpecConstant {
+                    name: name.into(),
                     spec_id,
                     kind,
                 })
@@ -292,7 +268,7 @@ impl Declarations {
                 .spec_id
                 .filter(|id| found.iter().all(|constant| constant.spec_id != *id))
             {
-                found.push(ReflectedConstant {
+                found.push(SpecConstant {
                     name: name.into(),
                     spec_id,
                     kind: Kind::U32,
@@ -318,16 +294,99 @@ mod tests {
     }
 
     fn layout() -> Vec<u32> {
-        words(include_bytes!("../../tests/kernels/layout.spv"))
+        words(include_bytes!("../../gpu/tests/kernels/layout.spv"))
+    }
+
+    #[test]
+    fn interfaces_say_names_types_and_access() {
+        let interface = reflect(&layout()).unwrap();
+        let bindings = interface.bindings.iter();
+        let bindings: Vec<_> = bindings
+            .map(|found| (&*found.name, found.number, found.access, &*found.holds))
+            .collect();
+        // The block with an instance name goes by it, the others by their only
+        // member.
+        assert_eq!(
+            bindings,
+            [
+                ("counted", 1, Access::ReadWrite, "Counted"),
+                ("item", 3, Access::Write, "Item"),
+                ("items", 5, Access::Read, "Item")
+            ]
+        );
+        assert_eq!(interface.workgroup, [8, 4, 2].map(Size::fixed));
+        let members = |members: &[Member]| {
+            let members = members.iter();
+            members
+                .map(|found| format!("{} {}: {}", found.offset, found.name, found.holds))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(
+            members(&interface.push),
+            [
+                "0 origin: [f32; 3]",
+                "12 count: u32",
+                "16 turn: [[f32; 4]; 3]"
+            ]
+        );
+        assert_eq!(interface.push_bytes, 16 + 3 * 16);
+        let found = records(&layout()).unwrap();
+        let named = |name: &str| found.iter().find(|record| record.name == name).unwrap();
+        assert_eq!(
+            members(&named("Item").members),
+            ["0 mean: [f32; 3]", "12 id: u32", "16 extent: [f32; 2]"]
+        );
+        assert_eq!(named("Item").bytes, 24);
+        assert_eq!(
+            members(&named("Counted").members),
+            ["0 count: u32", "4 weights: [f32; 4]", "20 ids: [u32; 0]"]
+        );
+    }
+
+    #[test]
+    fn other_buffers_and_push_constants_are_a_fault() {
+        let interface = reflect(&layout()).unwrap();
+        let mut other = interface.clone();
+        other.bindings.to_mut()[1].access = Access::ReadWrite;
+        other.capabilities = vec![1, 2].into();
+        assert_eq!(interface.fault(&other), None);
+        let change = |change: fn(&mut Interface)| {
+            let mut other = interface.clone();
+            change(&mut other);
+            interface.fault(&other).unwrap()
+        };
+        let fault = change(|other| other.bindings.to_mut()[1].holds = "u32".into());
+        assert!(
+            fault.contains("\"3 item: Item\"") && fault.contains("\"3 item: u32\""),
+            "{fault}"
+        );
+        let fault = change(|other| other.bindings.to_mut()[1].name = "thing".into());
+        assert!(fault.contains("3 thing: Item"), "{fault}");
+        assert!(change(|other| other.bindings.to_mut()[1].number = 7).contains("7 item"));
+        let fault = change(|other| other.bindings.to_mut()[1].uniform_bytes = Some(24));
+        assert!(fault.contains("item: Item (24 bytes, uniform)"), "{fault}");
+        let fault = change(|other| other.push.to_mut()[1].offset = 16);
+        assert!(fault.starts_with("expected push constants"), "{fault}");
+        let mut scale =
+            reflect(&words(include_bytes!("../../gpu/tests/kernels/scale.spv"))).unwrap();
+        let whole = scale.clone();
+        scale.constants.to_mut().remove(2);
+        assert_eq!(whole.fault(&scale), None);
+        scale.constants.to_mut()[1].kind = Kind::F32;
+        assert_eq!(
+            whole.fault(&scale).unwrap(),
+            "expected constant FACTOR to be U32, found F32"
+        );
     }
 
     #[test]
     fn constants_that_size_the_workgroup_do_so_by_name() {
-        let interface = reflect(&words(include_bytes!("../../tests/kernels/scale.spv"))).unwrap();
+        let interface =
+            reflect(&words(include_bytes!("../../gpu/tests/kernels/scale.spv"))).unwrap();
         let names: Vec<(&str, Kind)> = interface
             .constants
             .iter()
-            .map(|found| (found.name.as_str(), found.kind))
+            .map(|found| (found.name.as_ref(), found.kind))
             .collect();
         let expected = [
             ("GROUP_SIZE", Kind::U32),
@@ -343,7 +402,7 @@ mod tests {
 
     #[test]
     fn a_constant_without_a_name_goes_by_what_it_sizes() {
-        let mut words = words(include_bytes!("../../tests/kernels/scale.spv"));
+        let mut words = words(include_bytes!("../../gpu/tests/kernels/scale.spv"));
         // Take the name GROUP_SIZE out of the module, as an optimizer does when nothing else uses
         // the constant.
         let start = [u32::from_le_bytes(*b"GROU"), u32::from_le_bytes(*b"P_SI")];
@@ -355,11 +414,23 @@ mod tests {
         let interface = reflect(&words).unwrap();
         assert_eq!(
             (
-                interface.constants[0].name.as_str(),
+                interface.constants[0].name.as_ref(),
                 interface.constants[0].spec_id
             ),
             ("local_size_x", 0)
         );
+    }
+
+    #[test]
+    fn other_things_than_buffers_and_other_files_are_refused() {
+        let texture = words(include_bytes!("../../gpu/tests/kernels/texture.spv"));
+        let error = reflect(&texture).unwrap_err();
+        assert!(
+            error.contains("is neither a storage nor a uniform buffer"),
+            "{error}"
+        );
+        let error = reflect(&[1, 2, 3]).unwrap_err();
+        assert!(error.contains("not a SPIR-V module"), "{error}");
     }
 
     #[test]

@@ -12,7 +12,13 @@ const MAGIC: u32 = 0x0723_0203;
 const HEADER_WORDS: usize = 5;
 
 /// Structures in structures that are followed; shaders of ours have two.
-const DEPTH_MAX: usize = 8;
+pub(super) const DEPTH_MAX: usize = 8;
+
+pub(super) const TOO_LARGE: &str =
+    "the SPIR-V module has a structure that is too large or too deep";
+const NO_DATA: &str =
+    "a buffer holds a type other than scalars, vectors, matrices, arrays and structures of them";
+
 mod op {
     pub const NAME: u32 = 5;
     pub const MEMBER_NAME: u32 = 6;
@@ -59,12 +65,18 @@ const MODEL_COMPUTE: u32 = 5;
 const MODE_LOCAL_SIZE: u32 = 17;
 const MODE_LOCAL_SIZE_ID: u32 = 38;
 
+/// Type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub enum Kind {
+    /// `bool`
     Bool,
+    /// `uint`
     U32,
+    /// `int`
     I32,
+    /// `float`
     F32,
+    /// Numbers of other sizes.
     Other,
 }
 
@@ -267,49 +279,70 @@ impl Declarations {
         }
     }
 
-    pub(super) fn is_struct(&self, id: u32) -> bool {
-        matches!(self.types.get(&id), Some(Type::Struct { .. }))
-    }
-
-    pub(super) fn members(&self, id: u32) -> Vec<(String, u32)> {
-        let Some(Type::Struct { members }) = self.types.get(&id) else {
-            return Vec::new();
-        };
-        let member = |i: u32| {
-            let name = self.member_names.get(&(id, i)).cloned().unwrap_or_default();
-            (
-                name,
-                self.member_decorations
-                    .get(&(id, i, decoration::OFFSET))
-                    .copied()
-                    .unwrap_or(0),
-            )
-        };
-        (0..members.len() as u32).map(member).collect()
+    /// A type as Rust writes it: `u32`, `[f32; 3]`, the name of a structure.
+    pub(super) fn type_text(&self, id: u32, depth: usize) -> Result<String, String> {
+        if depth > DEPTH_MAX {
+            return Err(TOO_LARGE.to_owned());
+        }
+        let array =
+            |of: u32, count: u32| Ok(format!("[{}; {count}]", self.type_text(of, depth + 1)?));
+        match self.types.get(&id) {
+            Some(Type::Scalar { kind, bytes }) => Ok(match kind {
+                Kind::Bool => "bool".to_owned(),
+                Kind::U32 => "u32".to_owned(),
+                Kind::I32 => "i32".to_owned(),
+                Kind::F32 => "f32".to_owned(),
+                Kind::Other => format!("number of {bytes} bytes"),
+            }),
+            Some(
+                Type::Vector {
+                    component: of,
+                    count,
+                }
+                | Type::Matrix { column: of, count },
+            ) => array(*of, *count),
+            Some(Type::Array { element, length }) => {
+                let length = length.and_then(|length| self.constants.get(&length));
+                array(*element, length.map_or(0, |(_, value)| *value))
+            }
+            Some(Type::Struct { .. }) => Ok(self.named(id)),
+            _ => Err(NO_DATA.to_owned()),
+        }
     }
 
     /// Size of a type in memory; an array of open length counts nothing.
     pub(super) fn bytes(&self, id: u32, depth: usize) -> Result<u32, String> {
-        let too_large =
-            || "the SPIR-V module has a structure that is too large or too deep".to_owned();
+        let too_large = || TOO_LARGE.to_owned();
         if depth > DEPTH_MAX {
             return Err(too_large());
         }
         match self.types.get(&id) {
             Some(Type::Scalar { bytes, .. }) => Ok(*bytes),
-            Some(Type::Vector { component, count }) => {
-                self.bytes(*component, depth + 1)?.checked_mul(*count).ok_or_else(too_large)
-            }
+            Some(Type::Vector { component, count }) => self
+                .bytes(*component, depth + 1)?
+                .checked_mul(*count)
+                .ok_or_else(too_large),
             Some(Type::Array { length: None, .. }) => Ok(0),
-            Some(Type::Array { length: Some(length), .. }) => {
-                let stride = self.decorations.get(&(id, decoration::ARRAY_STRIDE)).copied().unwrap_or(0);
+            Some(Type::Array {
+                length: Some(length),
+                ..
+            }) => {
+                let stride = self
+                    .decorations
+                    .get(&(id, decoration::ARRAY_STRIDE))
+                    .copied()
+                    .unwrap_or(0);
                 let count = self.constants.get(length).map_or(0, |(_, value)| *value);
                 stride.checked_mul(count).ok_or_else(too_large)
             }
             Some(Type::Struct { members }) => {
                 let mut end = 0;
                 for (i, member) in members.iter().enumerate() {
-                    let offset = self.member_decorations.get(&(id, i as u32, decoration::OFFSET)).copied().unwrap_or(0);
+                    let offset = self
+                        .member_decorations
+                        .get(&(id, i as u32, decoration::OFFSET))
+                        .copied()
+                        .unwrap_or(0);
                     let bytes = match self.matrix_bytes(id, i as u32, *member) {
                         Some(bytes) => bytes,
                         None => self.bytes(*member, depth + 1)?,
@@ -318,7 +351,7 @@ impl Declarations {
                 }
                 Ok(end)
             }
-            _ => Err("a buffer holds a type other than scalars, vectors, matrices, arrays and structures of them".into()),
+            _ => Err(NO_DATA.to_owned()),
         }
     }
 
