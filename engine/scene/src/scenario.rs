@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use glam::DVec2;
 
 use crate::air::{Air, Weather};
+use crate::egos::Egos;
 use crate::road_user::RoadUser;
 use crate::story::{Actor, Story, TrackedAgent};
 use crate::traffic_light::TrafficLight;
@@ -410,6 +411,9 @@ pub struct Scenario {
     pub place: Place,
     /// The ego's part.
     pub ego: EgoTask,
+    /// Name and look of the ego, and the other egos, if there are any. Wherever agents have an
+    /// index, those of the other egos come last.
+    pub egos: Egos,
     /// Other vehicles.
     pub agents: Vec<TrafficAgent>,
     /// Pedestrians. Wherever agents have an index, theirs follow those of the vehicles.
@@ -444,15 +448,15 @@ impl Scenario {
         (self.duration_s / self.step_s - 1e-9).ceil().max(1.0) as u32
     }
 
-    /// Number of vehicles, pedestrians, actors and recorded road users.
+    /// Number of vehicles, pedestrians, actors, recorded road users and other egos.
     #[must_use]
     pub fn agent_count(&self) -> usize {
         let story = self.story.actors.len() + self.story.tracks.agents.len();
-        self.agents.len() + self.pedestrians.len() + story
+        self.agents.len() + self.pedestrians.len() + story + self.egos.others.len()
     }
 
-    /// Boxes of vehicles, pedestrians, actors and recorded road users, in the order of their
-    /// indices.
+    /// Boxes of vehicles, pedestrians, actors, recorded road users and other egos, in the order of
+    /// their indices.
     #[must_use]
     pub fn agent_sizes(&self) -> Vec<VehicleSize> {
         let vehicles = self.agents.iter().map(|agent| agent.size);
@@ -463,6 +467,7 @@ impl Scenario {
             .chain(pedestrians)
             .chain(actors)
             .chain(tracked)
+            .chain(self.egos.sizes())
             .collect()
     }
 
@@ -472,7 +477,7 @@ impl Scenario {
         (0..self.agent_count()).all(|index| self.agent(index).1 == RoadUser::Car)
     }
 
-    /// Name, kind and asset of a vehicle, pedestrian, actor or recorded road user.
+    /// Name, kind and asset of a vehicle, pedestrian, actor, recorded road user or other ego.
     ///
     /// # Panics
     /// Panics if there is no such agent.
@@ -489,7 +494,11 @@ impl Scenario {
         if let Some(actor) = self.story.actors.get(index) {
             return (&actor.name, actor.kind, actor.asset);
         }
-        let tracked = &self.story.tracks.agents[index - self.story.actors.len()];
-        (&tracked.name, tracked.kind, tracked.asset)
+        let index = index - self.story.actors.len();
+        if let Some(tracked) = self.story.tracks.agents.get(index) {
+            return (&tracked.name, tracked.kind, tracked.asset);
+        }
+        let other = &self.egos.others[index - self.story.tracks.agents.len()].identity;
+        (&other.name, RoadUser::Car, other.asset)
     }
 }

@@ -10,7 +10,7 @@ use toml::Spanned;
 
 use super::VERSION;
 use super::check::{Fault, Table, check};
-use super::ego::EgoForm;
+use super::ego::{EgoForm, egos};
 use super::seed::Seed;
 use super::when::{AfterForm, WhenForm};
 use decouplegs_asset::SceneError;
@@ -36,6 +36,8 @@ pub(super) struct ScenarioForm {
     pub(super) step_s: f64,
     pub(super) place: PlaceForm,
     pub(super) ego: Spanned<EgoForm>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) other_ego: Vec<Spanned<EgoForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) agent: Vec<Spanned<AgentForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -204,6 +206,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
                 PlaceForm::Scene(scene) => scene.span(),
             },
             Table::Ego => form.ego.span(),
+            Table::OtherEgo(other) => form.other_ego[other].span(),
             Table::Light(light) => form.light[light].span(),
             Table::Sign(sign) => form.sign[sign].span(),
             Table::Pedestrian(walker) => form.pedestrian[walker].span(),
@@ -254,6 +257,7 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
         step_s: form.step_s,
         place: place(&form.place)?,
         ego: form.ego.get_ref().task(),
+        egos: egos(form),
         agents: form
             .agent
             .iter()

@@ -11,7 +11,7 @@ use toml::Spanned;
 
 use super::VERSION;
 use super::check::check;
-use super::ego::EgoForm;
+use super::ego::{EgoForm, other_forms};
 use super::form::{
     AgentForm, BehaviorForm, PedestrianForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm,
     StreetForm,
@@ -44,7 +44,8 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
         duration_s: scenario.duration_s,
         step_s: scenario.step_s,
         place: place_form(&scenario.place)?,
-        ego: spanless(EgoForm::from_task(&scenario.ego)),
+        ego: spanless(EgoForm::new(&scenario.ego, &scenario.egos.own)),
+        other_ego: other_forms(scenario),
         agent: scenario
             .agents
             .iter()
@@ -71,7 +72,7 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
     Ok(format!("{HEADING}{body}"))
 }
 
-fn spanless<T>(value: T) -> Spanned<T> {
+pub(super) fn spanless<T>(value: T) -> Spanned<T> {
     Spanned::new(0..0, value)
 }
 

@@ -11,7 +11,7 @@ impl Simulation {
     #[must_use]
     pub fn agents_observation(&self, step: u32) -> AgentsObservation {
         let (ego, size) = (self.ego.state(), self.scenario.ego.size);
-        let agents = self.traffic.steerable(Some((&ego, &size)));
+        let agents = self.traffic.steerable(&[Some((ego, size))]);
         let takes = |index: &usize| {
             agents
                 .binary_search_by_key(index, |agent| agent.agent)
