@@ -171,6 +171,7 @@ fn recorded() -> Episode {
         start: instant(0),
         steps: vec![step],
         end: EpisodeEnd::Time,
+        others: vec![],
     }
 }
 

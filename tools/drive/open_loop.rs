@@ -141,7 +141,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
                 renderer.draw(&shadow, step).map_err(EpisodeError::from)?;
                 let readings = renderer.readings();
                 let images = images(&readings).map(|frame| frame.rgba.to_vec()).collect();
-                shadow.advance(&episode.steps[step as usize].plan);
+                shadow.advance_with(&episode.plans_at(step), |_| {});
                 Ok(images)
             };
             plans(episode, &ready.site, &rig, planner.as_mut(), drawn)?

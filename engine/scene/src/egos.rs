@@ -1,7 +1,8 @@
 //! Several egos in one world.
 
+use crate::episode::EpisodeTick;
 use crate::scenario::{EgoTask, Scenario};
-use crate::vehicle::VehicleSize;
+use crate::vehicle::{VehicleSize, VehicleState};
 
 /// Ego as the others see it, and its planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -97,5 +98,37 @@ impl Scenario {
             std::mem::swap(&mut scenario.egos.own, &mut other.identity);
         }
         scenario
+    }
+}
+
+impl EpisodeTick {
+    /// State of ego `ego` of `count` at this moment, which ego `viewer` sees; `None` where it has
+    /// left.
+    #[must_use]
+    pub fn ego_state(&self, count: usize, viewer: usize, ego: usize) -> Option<VehicleState> {
+        if ego == viewer {
+            return Some(self.ego);
+        }
+        // The place of the viewer is that of the first ego.
+        let slot = if ego == 0 { viewer } else { ego };
+        let first = self.agents.len().checked_sub(count.checked_sub(1)?)?;
+        *self.agents.get(first + slot.checked_sub(1)?)?
+    }
+
+    /// Agents of this moment, which ego `teller` of `count` sees, as ego `viewer` sees them.
+    #[must_use]
+    pub fn agents_for(
+        &self,
+        count: usize,
+        teller: usize,
+        viewer: usize,
+    ) -> Vec<Option<VehicleState>> {
+        let traffic = self.agents.len().saturating_sub(count - 1);
+        let others = (1..count).map(|slot| {
+            let ego = if slot == viewer { 0 } else { slot };
+            self.ego_state(count, teller, ego)
+        });
+        let traffic = self.agents[..traffic].iter().copied();
+        traffic.chain(others).collect()
     }
 }

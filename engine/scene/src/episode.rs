@@ -291,6 +291,10 @@ pub struct Episode {
     pub steps: Vec<EpisodeStep>,
     /// Reason of the end.
     pub end: EpisodeEnd,
+    /// What happened to the other egos, each until its own end, in the order of the scenario;
+    /// empty where there is one ego. Their scenario is that of the first as
+    /// [`Scenario::for_ego`] has it, and they have no others.
+    pub others: Vec<Episode>,
 }
 
 impl Episode {
@@ -302,7 +306,45 @@ impl Episode {
         for instant in std::iter::once(&mut self.start).chain(later) {
             instant.road = instant.road.filter(|_| version >= ROAD_VERSION);
         }
+        let others = std::mem::take(&mut self.others).into_iter();
+        self.others = others.map(|other| other.in_version(version)).collect();
         self
+    }
+
+    /// The episode of each ego, in the order of the scenario: this one, and the others.
+    pub fn egos(&self) -> impl ExactSizeIterator<Item = &Self> {
+        (0..1 + self.others.len()).map(|ego| self.ego(ego))
+    }
+
+    /// The episode of ego `ego`, from 0.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    #[must_use]
+    pub fn ego(&self, ego: usize) -> &Self {
+        match ego {
+            0 => self,
+            _ => &self.others[ego - 1],
+        }
+    }
+
+    /// Plans of all egos at step `step`, in the order of the scenario; `None` for those that had
+    /// ended.
+    #[must_use]
+    pub fn plans_at(&self, step: u32) -> Vec<Option<&Plan>> {
+        let steps = self.egos().map(|ego| ego.steps.get(step as usize));
+        steps.map(|step| step.map(|step| &step.plan)).collect()
+    }
+
+    /// The episode of ego `ego`, from 0, to be changed.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    pub fn ego_mut(&mut self, ego: usize) -> &mut Self {
+        match ego {
+            0 => self,
+            _ => &mut self.others[ego - 1],
+        }
     }
 
     /// Adds a step. The lights of the scenario change as it says, which scores count by.

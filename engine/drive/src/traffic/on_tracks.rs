@@ -37,11 +37,11 @@ impl Traffic {
         let on_ways = self.states.iter().zip(agents.chain(walkers));
         let on_ways = on_ways.map(|(state, size)| Some(((*state)?, size)));
         let actors = self.stage.iter().flat_map(Stage::all);
-        let egos = |egos: &[EgoBox]| egos.to_vec().into_iter();
-        egos(first)
+        let first = first.iter().copied();
+        first
             .chain(on_ways)
             .chain(actors)
-            .chain(egos(others))
+            .chain(others.iter().copied())
             .collect()
     }
 

@@ -155,5 +155,6 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         start: instant(0.0),
         steps: (0..steps).map(step).collect(),
         end,
+        others: Vec::new(),
     }
 }

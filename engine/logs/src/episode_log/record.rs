@@ -13,6 +13,7 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::FORMAT;
+use super::egos::OtherEndForm;
 use super::instant::{InstantForm, LANES_VERSION, instant, instant_form};
 use crate::scenario_file;
 
@@ -49,6 +50,19 @@ pub(super) struct HeadForm {
     start: InstantForm,
 }
 
+/// The first line of an ego beside the first.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct OtherHeadForm {
+    ego: usize,
+    planner: PlannerForm,
+    drawn_by: Option<DrawnByForm>,
+    route_m: Vec<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    stop_lines: Vec<LineForm>,
+    start: InstantForm,
+}
+
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct PlannerForm {
@@ -59,6 +73,12 @@ struct PlannerForm {
     #[serde(default, skip_serializing_if = "is_false")]
     localization: bool,
     privileged: bool,
+}
+
+/// True for the first ego, whose number is left out.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+fn is_first(ego: &usize) -> bool {
+    *ego == 0
 }
 
 /// True for `false`, which is left out.
@@ -82,6 +102,9 @@ struct DrawnByForm {
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StepForm {
+    /// Ego of the line, from 0.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub(super) ego: usize,
     step: u32,
     /// Sensor and hash in 32 hex digits.
     images: Vec<(String, String)>,
@@ -173,10 +196,11 @@ pub(super) enum EndForm {
     },
 }
 
-/// Any line but the first. A step has a `step`, an end has an `end`.
+/// Any line but those of heads. A step has a `step`, an end has an `end`; both have an `ego` where
+/// it is not the first.
 pub(super) enum Record {
     Step(StepForm),
-    End(EndForm),
+    End(usize, EndForm),
 }
 
 impl Record {
@@ -184,8 +208,13 @@ impl Record {
         let json_error =
             |error: serde_json::Error| format!("is no record of a step or an end: {error}");
         if payload.starts_with("{\"end\"") {
-            return serde_json::from_str(payload)
-                .map(Self::End)
+            let end = serde_json::from_str(payload);
+            return end.map(|end| Self::End(0, end)).map_err(json_error);
+        }
+        if payload.starts_with("{\"ego\"") && payload.contains(",\"end\":{\"end\"") {
+            let end: Result<OtherEndForm, _> = serde_json::from_str(payload);
+            return end
+                .map(|OtherEndForm { ego, end }| Self::End(ego, end))
                 .map_err(json_error);
         }
         serde_json::from_str(payload)
@@ -197,6 +226,74 @@ impl Record {
 /// JSON of one line. Numbers are as short as they can be while every bit comes back.
 pub(super) fn to_json(form: &impl Serialize) -> String {
     serde_json::to_string(form).expect("numbers and text, which JSON can hold")
+}
+
+fn planner_form(record: PlannerRecord) -> PlannerForm {
+    let PlannerRecord {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    } = record;
+    PlannerForm {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    }
+}
+
+fn planner_record(form: PlannerForm) -> PlannerRecord {
+    let PlannerForm {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    } = form;
+    PlannerRecord {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    }
+}
+
+fn drawn_by_form(record: DrawnBy) -> DrawnByForm {
+    let DrawnBy {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    } = record;
+    DrawnByForm {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    }
+}
+
+fn drawn_by(form: DrawnByForm) -> DrawnBy {
+    let DrawnByForm {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    } = form;
+    DrawnBy {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    }
 }
 
 fn line_form(line: &StopLineRecord) -> LineForm {
@@ -227,42 +324,14 @@ impl HeadForm {
             sign_lines,
             agent_driver,
         } = head;
-        let PlannerRecord {
-            name,
-            cameras,
-            lidars,
-            localization,
-            privileged,
-        } = planner.clone();
-        let drawn_by = drawn_by.clone().map(
-            |DrawnBy {
-                 device,
-                 width_px,
-                 height_px,
-                 every,
-                 f_theta,
-             }| DrawnByForm {
-                device,
-                width_px,
-                height_px,
-                every,
-                f_theta,
-            },
-        );
         Ok(Self {
             format: FORMAT.into(),
             version: *log_version,
             program: version.clone(),
             scenario: scenario_file::to_toml(scenario)
                 .map_err(|error| format!("its scenario: {error}"))?,
-            planner: PlannerForm {
-                name,
-                cameras,
-                lidars,
-                localization,
-                privileged,
-            },
-            drawn_by,
+            planner: planner_form(planner.clone()),
+            drawn_by: drawn_by.clone().map(drawn_by_form),
             route_m: route_m.iter().map(DVec2::to_array).collect(),
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
             stop_lines: stop_lines.iter().map(line_form).collect(),
@@ -283,40 +352,12 @@ impl HeadForm {
         }
         let scenario = scenario_file::parse(&self.scenario)
             .map_err(|error| format!("its scenario, {error}"))?;
-        let PlannerForm {
-            name,
-            cameras,
-            lidars,
-            localization,
-            privileged,
-        } = self.planner;
-        let drawn_by = self.drawn_by.map(
-            |DrawnByForm {
-                 device,
-                 width_px,
-                 height_px,
-                 every,
-                 f_theta,
-             }| DrawnBy {
-                device,
-                width_px,
-                height_px,
-                every,
-                f_theta,
-            },
-        );
         let head = EpisodeHead {
             log_version: self.version,
             version: self.program,
             scenario,
-            planner: PlannerRecord {
-                name,
-                cameras,
-                lidars,
-                localization,
-                privileged,
-            },
-            drawn_by,
+            planner: planner_record(self.planner),
+            drawn_by: self.drawn_by.map(drawn_by),
             route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
             agent_sizes: self
                 .agent_sizes_m
@@ -326,6 +367,55 @@ impl HeadForm {
             stop_lines: self.stop_lines.into_iter().map(line).collect(),
             sign_lines: self.sign_lines.into_iter().map(line).collect(),
             agent_driver: self.agent_driver,
+        };
+        Ok((head, instant(self.start)))
+    }
+}
+
+impl HeadForm {
+    /// Part of it that the head of ego `ego` beside the first tells.
+    pub(super) fn of_other(self, ego: usize) -> OtherHeadForm {
+        OtherHeadForm {
+            ego,
+            planner: self.planner,
+            drawn_by: self.drawn_by,
+            route_m: self.route_m,
+            stop_lines: self.stop_lines,
+            start: self.start.without_agents(),
+        }
+    }
+}
+
+impl OtherHeadForm {
+    /// The head of ego `ego`, where `first` is that of the first, and its start without agents.
+    ///
+    /// # Errors
+    /// A sentence, when it is that of another ego.
+    pub(super) fn into_head(
+        self,
+        first: &EpisodeHead,
+        ego: usize,
+    ) -> Result<(EpisodeHead, EpisodeTick), String> {
+        if self.ego != ego {
+            return Err(format!(
+                "is the head of ego {}; expected ego {ego}",
+                self.ego
+            ));
+        }
+        let mut agent_sizes = first.agent_sizes.clone();
+        let others = first.scenario.egos.others.len();
+        let slot = agent_sizes.len().checked_sub(others).map(|at| at + ego - 1);
+        if let Some(size) = slot.and_then(|slot| agent_sizes.get_mut(slot)) {
+            *size = first.scenario.ego.size;
+        }
+        let head = EpisodeHead {
+            scenario: first.scenario.for_ego(ego),
+            planner: planner_record(self.planner),
+            drawn_by: self.drawn_by.map(drawn_by),
+            route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
+            agent_sizes,
+            stop_lines: self.stop_lines.into_iter().map(line).collect(),
+            ..first.clone()
         };
         Ok((head, instant(self.start)))
     }
@@ -345,6 +435,7 @@ impl StepForm {
             lights,
         } = step;
         Self {
+            ego: 0,
             step: *step,
             images: readings
                 .iter()
@@ -367,6 +458,24 @@ impl StepForm {
             commands: commands.iter().map(command_form).collect(),
             lights: lights.iter().map(light_form).collect(),
         }
+    }
+
+    /// The form of a line of ego `ego` where lines before have told the agents at the first `told`
+    /// moments, and the changes of the world if `has_world`.
+    pub(super) fn of_ego(mut self, ego: usize, told: usize, has_world: bool) -> Self {
+        self.ego = ego;
+        if has_world {
+            self.handovers.clear();
+            self.commands.clear();
+            self.lights.clear();
+        }
+        let shortened = |(index, instant): (usize, InstantForm)| match index < told {
+            true => instant.without_agents(),
+            false => instant,
+        };
+        let instants = self.instants.into_iter().enumerate();
+        self.instants = instants.map(shortened).collect();
+        self
     }
 
     /// # Errors

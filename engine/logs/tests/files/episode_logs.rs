@@ -235,6 +235,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     start,
                     steps: vec![],
                     end,
+                    others: vec![],
                 };
                 steps.into_iter().for_each(|step| episode.push(step));
                 episode
@@ -321,6 +322,7 @@ fn small() -> Episode {
         start: instant(0.0),
         steps: (0..3).map(step).collect(),
         end: EpisodeEnd::Collision { agent: 0 },
+        others: vec![],
     }
 }
 
