@@ -97,7 +97,8 @@ pub struct Arguments {
     /// without one are driven by the planner that the scenario names for them, or by --planner
     #[arg(long, value_name = "EGO=PLANNER")]
     ego_planner: Vec<EgoPlanner>,
-    /// Generate scenarios with N egos, 2 to 8: cars of the traffic become egos, and keep their names
+    /// Generate scenarios with N egos, 2 to 8: cars of the traffic become egos, and keep their
+    /// names
     #[arg(long, value_name = "N", allow_negative_numbers = true, requires = "level", value_parser = clap::value_parser!(u8).range(2..=8))]
     egos: Option<u8>,
     /// Program that drives the vehicles of the traffic in place of the driver model, all of them in

@@ -8,9 +8,9 @@ use crate::route::{LaneSpot, Route, straight_on};
 /// Shortest route of an ego, meters.
 const ROUTE_M_MIN: f64 = 30.0;
 
-/// `scenario` with `count` egos: cars of its traffic become egos, where they start and as fast. Each
-/// is to go straight on as far as the ego is to go, or to where its lanes end. Cars without injected
-/// behaviors come first.
+/// `scenario` with `count` egos: cars of its traffic become egos, where they start and as fast.
+/// Each is to go straight on as far as the ego is to go, or to where its lanes end. Cars without
+/// injected behaviors come first.
 ///
 /// # Errors
 /// A sentence, if the scenario has too few cars with a way ahead, or its route is not on `map`.

@@ -1,8 +1,28 @@
-//! Several egos in one world.
+//! Egos: their tasks, and several in one world.
 
-use crate::episode::EpisodeTick;
-use crate::scenario::{EgoTask, Scenario};
-use crate::vehicle::{VehicleSize, VehicleState};
+use crate::vehicle::VehicleSize;
+
+/// Task of the ego vehicle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EgoTask {
+    /// Lanes of its route, by id, each a successor or a neighbor of the one before.
+    pub route: Vec<String>,
+    /// Start on the first of them, meters along it.
+    pub start_m: f64,
+    /// End of the route on the last, meters along it.
+    pub end_m: f64,
+    /// Initial speed.
+    pub speed_mps: f64,
+    /// Cruise speed on a free road.
+    pub cruise_mps: f64,
+    /// Size of the box.
+    pub size: VehicleSize,
+    /// True if the ego moves as the scene was recorded, whatever it plans: an open loop.
+    pub follows_recording: bool,
+    /// Middle of its box at the start, world coordinates in meters, and its heading, radians.
+    /// `None`: the middle of the lane at [`EgoTask::start_m`], along it.
+    pub start_pose: Option<[f64; 3]>,
+}
 
 /// Ego as the others see it, and its planner.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,21 +45,21 @@ impl Default for EgoIdentity {
     }
 }
 
-/// Ego beside the one whose task is [`Scenario::ego`].
+/// Ego beside the first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OtherEgo {
     /// Name, look and planner.
     pub identity: EgoIdentity,
-    /// What it is to do.
+    /// Task of the ego.
     pub task: EgoTask,
 }
 
-/// Egos of a scenario: whose task [`Scenario::ego`] is, and the others.
+/// Identity of the first ego of a scenario, whose task the scenario tells, and the other egos.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Egos {
-    /// Identity of the ego whose task is [`Scenario::ego`].
+    /// Identity of the first ego.
     pub own: EgoIdentity,
-    /// The other egos; empty where there is one.
+    /// Egos beside the first; empty where there is one.
     pub others: Vec<OtherEgo>,
 }
 
@@ -56,79 +76,5 @@ impl Egos {
     /// Boxes of the other egos.
     pub fn sizes(&self) -> impl Iterator<Item = VehicleSize> {
         self.others.iter().map(|other| other.task.size)
-    }
-}
-
-impl Scenario {
-    /// Task of ego `ego`, from 0, in the order of the file.
-    ///
-    /// # Panics
-    /// Panics if there is no such ego.
-    #[must_use]
-    pub fn ego_task(&self, ego: usize) -> &EgoTask {
-        match ego {
-            0 => &self.ego,
-            _ => &self.egos.others[ego - 1].task,
-        }
-    }
-
-    /// Identity of ego `ego`, from 0, in the order of the file.
-    ///
-    /// # Panics
-    /// Panics if there is no such ego.
-    #[must_use]
-    pub fn ego_identity(&self, ego: usize) -> &EgoIdentity {
-        match ego {
-            0 => &self.egos.own,
-            _ => &self.egos.others[ego - 1].identity,
-        }
-    }
-
-    /// The scenario for ego `ego`: its task is [`Scenario::ego`], and the first ego has its place
-    /// among the others. Done twice, it is the scenario itself.
-    ///
-    /// # Panics
-    /// Panics if there is no such ego.
-    #[must_use]
-    pub fn for_ego(&self, ego: usize) -> Self {
-        let mut scenario = self.clone();
-        if ego > 0 {
-            let other = &mut scenario.egos.others[ego - 1];
-            std::mem::swap(&mut scenario.ego, &mut other.task);
-            std::mem::swap(&mut scenario.egos.own, &mut other.identity);
-        }
-        scenario
-    }
-}
-
-impl EpisodeTick {
-    /// State of ego `ego` of `count` at this moment, which ego `viewer` sees; `None` where it has
-    /// left.
-    #[must_use]
-    pub fn ego_state(&self, count: usize, viewer: usize, ego: usize) -> Option<VehicleState> {
-        if ego == viewer {
-            return Some(self.ego);
-        }
-        // The place of the viewer is that of the first ego.
-        let slot = if ego == 0 { viewer } else { ego };
-        let first = self.agents.len().checked_sub(count.checked_sub(1)?)?;
-        *self.agents.get(first + slot.checked_sub(1)?)?
-    }
-
-    /// Agents of this moment, which ego `teller` of `count` sees, as ego `viewer` sees them.
-    #[must_use]
-    pub fn agents_for(
-        &self,
-        count: usize,
-        teller: usize,
-        viewer: usize,
-    ) -> Vec<Option<VehicleState>> {
-        let traffic = self.agents.len().saturating_sub(count - 1);
-        let others = (1..count).map(|slot| {
-            let ego = if slot == viewer { 0 } else { slot };
-            self.ego_state(count, teller, ego)
-        });
-        let traffic = self.agents[..traffic].iter().copied();
-        traffic.chain(others).collect()
     }
 }

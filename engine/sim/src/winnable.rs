@@ -11,8 +11,8 @@ use crate::planner::{LaneFollow, Planner};
 /// Share of a scenario's time that the planner must have to spare.
 pub const MARGIN: f64 = 0.1;
 
-/// True if the planner `lane-follow` brings every ego to the end of its route in `scenario` without a fault,
-/// among the traffic of the scenario, with [`MARGIN`] of the time to spare.
+/// True if the planner `lane-follow` brings every ego to the end of its route in `scenario` without
+/// a fault, among the traffic of the scenario, with [`MARGIN`] of the time to spare.
 ///
 /// # Errors
 /// Returns an error if `scenario` does not fit `site`.

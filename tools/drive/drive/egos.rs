@@ -143,7 +143,7 @@ fn rig_for(arguments: &Arguments, all: &Rig, planner: &dyn Planner) -> Result<Ri
     Ok(rig)
 }
 
-/// What an episode of several egos is driven with.
+/// Drive of an episode of several egos.
 pub struct EgosDrive<'a> {
     pub arguments: &'a Arguments,
     pub site: &'a std::sync::Arc<Site>,

@@ -97,8 +97,8 @@ impl Traffic {
         }
     }
 
-    /// Changes into the lane beside that the nearest ego is on, whatever the gap to it. `None` where it is
-    /// on none of them, else whether the change began.
+    /// Changes into the lane beside that the nearest ego is on, whatever the gap to it. `None`
+    /// where it is on none of them, else whether the change began.
     pub(super) fn cut_in(&mut self, number: usize) -> Option<bool> {
         let agent = &self.agents[number];
         let at_m = agent.state(&self.graph).position_m;

@@ -2,9 +2,26 @@
 
 use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep, VehicleState};
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use super::record::{EndForm, HeadForm, OtherHeadForm, StepForm};
+use super::instant::{InstantForm, instant};
+use super::record::{
+    DrawnByForm, EndForm, HeadForm, LineForm, PlannerForm, StepForm, drawn_by, line, planner_record,
+};
+
+/// The first line of an ego beside the first.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct OtherHeadForm {
+    ego: usize,
+    planner: PlannerForm,
+    drawn_by: Option<DrawnByForm>,
+    route_m: Vec<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    stop_lines: Vec<LineForm>,
+    start: InstantForm,
+}
 
 /// The last line of an ego beside the first.
 #[derive(Deserialize, Serialize)]
@@ -20,6 +37,55 @@ impl OtherEndForm {
             ego,
             end: EndForm::from_end(end),
         }
+    }
+}
+
+impl HeadForm {
+    /// Part of it that the head of ego `ego` beside the first tells.
+    pub(super) fn of_other(self, ego: usize) -> OtherHeadForm {
+        OtherHeadForm {
+            ego,
+            planner: self.planner,
+            drawn_by: self.drawn_by,
+            route_m: self.route_m,
+            stop_lines: self.stop_lines,
+            start: self.start.without_agents(),
+        }
+    }
+}
+
+impl OtherHeadForm {
+    /// The head of ego `ego`, where `first` is that of the first, and its start without agents.
+    ///
+    /// # Errors
+    /// A sentence, when it is that of another ego.
+    pub(super) fn into_head(
+        self,
+        first: &EpisodeHead,
+        ego: usize,
+    ) -> Result<(EpisodeHead, EpisodeTick), String> {
+        if self.ego != ego {
+            return Err(format!(
+                "is the head of ego {}; expected ego {ego}",
+                self.ego
+            ));
+        }
+        let mut agent_sizes = first.agent_sizes.clone();
+        let others = first.scenario.egos.others.len();
+        let slot = agent_sizes.len().checked_sub(others).map(|at| at + ego - 1);
+        if let Some(size) = slot.and_then(|slot| agent_sizes.get_mut(slot)) {
+            *size = first.scenario.ego.size;
+        }
+        let head = EpisodeHead {
+            scenario: first.scenario.for_ego(ego),
+            planner: planner_record(self.planner),
+            drawn_by: self.drawn_by.map(drawn_by),
+            route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
+            agent_sizes,
+            stop_lines: self.stop_lines.into_iter().map(line).collect(),
+            ..first.clone()
+        };
+        Ok((head, instant(self.start)))
     }
 }
 

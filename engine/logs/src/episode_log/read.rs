@@ -4,8 +4,8 @@ use decouplegs_scene::episode::EpisodeTick;
 use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead};
 
 use super::chain::Chain;
-use super::egos::{OtherEndForm, Told};
-use super::record::{EndForm, FormatForm, HeadForm, OtherHeadForm, Record, StepForm, to_json};
+use super::egos::{OtherEndForm, OtherHeadForm, Told};
+use super::record::{EndForm, FormatForm, HeadForm, Record, StepForm, to_json};
 use super::sequence::Sequence;
 use super::write::encode;
 use super::{FORMAT, VERSION};

@@ -18,7 +18,7 @@ use super::instant::{InstantForm, LANES_VERSION, instant, instant_form};
 use crate::scenario_file;
 
 /// Index, right end and left end of a stop line.
-type LineForm = (usize, [f64; 2], [f64; 2]);
+pub(super) type LineForm = (usize, [f64; 2], [f64; 2]);
 
 /// Fields of the first line that are the same in all versions.
 #[derive(Deserialize)]
@@ -35,37 +35,24 @@ pub(super) struct HeadForm {
     version: u32,
     program: String,
     scenario: String,
-    planner: PlannerForm,
-    drawn_by: Option<DrawnByForm>,
-    route_m: Vec<[f64; 2]>,
+    pub(super) planner: PlannerForm,
+    pub(super) drawn_by: Option<DrawnByForm>,
+    pub(super) route_m: Vec<[f64; 2]>,
     agent_sizes_m: Vec<[f64; 3]>,
     /// Index of the light, right end, left end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    stop_lines: Vec<LineForm>,
+    pub(super) stop_lines: Vec<LineForm>,
     /// Index of the sign, right end, left end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     sign_lines: Vec<LineForm>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     agent_driver: Option<String>,
-    start: InstantForm,
-}
-
-/// The first line of an ego beside the first.
-#[derive(Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct OtherHeadForm {
-    ego: usize,
-    planner: PlannerForm,
-    drawn_by: Option<DrawnByForm>,
-    route_m: Vec<[f64; 2]>,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    stop_lines: Vec<LineForm>,
-    start: InstantForm,
+    pub(super) start: InstantForm,
 }
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-struct PlannerForm {
+pub(super) struct PlannerForm {
     name: String,
     cameras: Vec<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -89,7 +76,7 @@ fn is_false(flag: &bool) -> bool {
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-struct DrawnByForm {
+pub(super) struct DrawnByForm {
     device: String,
     width_px: u32,
     height_px: u32,
@@ -245,7 +232,7 @@ fn planner_form(record: PlannerRecord) -> PlannerForm {
     }
 }
 
-fn planner_record(form: PlannerForm) -> PlannerRecord {
+pub(super) fn planner_record(form: PlannerForm) -> PlannerRecord {
     let PlannerForm {
         name,
         cameras,
@@ -279,7 +266,7 @@ fn drawn_by_form(record: DrawnBy) -> DrawnByForm {
     }
 }
 
-fn drawn_by(form: DrawnByForm) -> DrawnBy {
+pub(super) fn drawn_by(form: DrawnByForm) -> DrawnBy {
     let DrawnByForm {
         device,
         width_px,
@@ -301,7 +288,7 @@ fn line_form(line: &StopLineRecord) -> LineForm {
     (line.index, right_m, left_m)
 }
 
-fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
+pub(super) fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
     StopLineRecord {
         index,
         ends_m: [right_m, left_m].map(DVec2::from_array),
@@ -367,55 +354,6 @@ impl HeadForm {
             stop_lines: self.stop_lines.into_iter().map(line).collect(),
             sign_lines: self.sign_lines.into_iter().map(line).collect(),
             agent_driver: self.agent_driver,
-        };
-        Ok((head, instant(self.start)))
-    }
-}
-
-impl HeadForm {
-    /// Part of it that the head of ego `ego` beside the first tells.
-    pub(super) fn of_other(self, ego: usize) -> OtherHeadForm {
-        OtherHeadForm {
-            ego,
-            planner: self.planner,
-            drawn_by: self.drawn_by,
-            route_m: self.route_m,
-            stop_lines: self.stop_lines,
-            start: self.start.without_agents(),
-        }
-    }
-}
-
-impl OtherHeadForm {
-    /// The head of ego `ego`, where `first` is that of the first, and its start without agents.
-    ///
-    /// # Errors
-    /// A sentence, when it is that of another ego.
-    pub(super) fn into_head(
-        self,
-        first: &EpisodeHead,
-        ego: usize,
-    ) -> Result<(EpisodeHead, EpisodeTick), String> {
-        if self.ego != ego {
-            return Err(format!(
-                "is the head of ego {}; expected ego {ego}",
-                self.ego
-            ));
-        }
-        let mut agent_sizes = first.agent_sizes.clone();
-        let others = first.scenario.egos.others.len();
-        let slot = agent_sizes.len().checked_sub(others).map(|at| at + ego - 1);
-        if let Some(size) = slot.and_then(|slot| agent_sizes.get_mut(slot)) {
-            *size = first.scenario.ego.size;
-        }
-        let head = EpisodeHead {
-            scenario: first.scenario.for_ego(ego),
-            planner: planner_record(self.planner),
-            drawn_by: self.drawn_by.map(drawn_by),
-            route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
-            agent_sizes,
-            stop_lines: self.stop_lines.into_iter().map(line).collect(),
-            ..first.clone()
         };
         Ok((head, instant(self.start)))
     }

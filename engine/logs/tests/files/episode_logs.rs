@@ -245,7 +245,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
 }
 
 /// An episode of three short steps with one agent.
-fn small() -> Episode {
+pub fn small() -> Episode {
     let mut scenario: Scenario = decouplegs_logs::scenario_file::parse(
         &crate::scenario_files::example().replace("\"hard\"", "\"easy\""),
     )

@@ -81,7 +81,7 @@ impl DrivenEgo {
         })
     }
 
-    /// Its box now.
+    /// Box of the ego now.
     pub(super) fn outline(&self) -> OrientedBox {
         OrientedBox::for_vehicle(&self.ego.state(), &self.task.size)
     }
@@ -102,7 +102,7 @@ impl DrivenEgo {
         }
     }
 
-    /// Its place on `site` after it moved by `dt_s` seconds.
+    /// Finds its place on `site` after it moved by `dt_s` seconds.
     pub(super) fn arrive(&mut self, site: &Site, dt_s: f64) {
         let state = self.ego.state();
         self.progress.advance(state.position_m);

@@ -1,4 +1,4 @@
-//! What images of an episode show.
+//! Bodies in the images of an episode.
 
 use decouplegs_scene::{Motion, RoadUser};
 use decouplegs_session::{AgentInstance, SessionError, World};
