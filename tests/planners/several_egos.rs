@@ -4,17 +4,22 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::frames::worlds::{assert_silent, session};
 use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::drive::other_egos::with_egos;
 use decouplegs::drive::score::EpisodeScore;
-use decouplegs::episode::{Rollout, Simulation, Site, drive, drive_egos, replay_egos};
+use decouplegs::episode::{
+    Appearance, EgosRenderer, Rollout, Simulation, Site, chosen, drive, drive_egos, replay_egos,
+};
 use decouplegs::logs::episode_log::{decode, encode};
 use decouplegs::planner::{
-    ConstantVelocity, EpisodeInfo, LaneFollow, Observation, ObservationRequest, Planner,
-    PlannerError,
+    Cameras, ConstantVelocity, EpisodeInfo, LaneFollow, Observation, ObservationRequest, Planner,
+    PlannerError, images as images_of,
 };
+use decouplegs::render::{ColorFormat, Outputs};
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Egos, Episode, EpisodeEnd, Level, Plan, Scenario, VehicleState, Weather};
+use decouplegs::session::{HostImages, World, WorldView};
 
 fn street() -> Arc<Site> {
     let place = Place::Street {
@@ -96,6 +101,16 @@ fn two_and_eight_egos_drive_score_and_replay_to_the_bit() {
         let again = replay_egos(&episode, &site, None, &mut ()).unwrap();
         assert_eq!(again.moved_differently, None);
         assert_eq!(encode(&again.episode).unwrap(), bytes);
+        let last = count - 1;
+        let turned = episode.clone().with_first(last);
+        assert_eq!(way(&turned), way(episode.ego(last)));
+        let again = replay_egos(&turned, &site, None, &mut ()).unwrap();
+        assert_eq!(again.moved_differently, None, "any ego may be the first");
+        let name = &turned.head.scenario.egos.own.name;
+        assert_eq!(episode.clone().with_first_named(name), Ok(turned.clone()));
+        let error = episode.clone().with_first_named("none").unwrap_err();
+        assert!(error.to_string().contains("it has ego, "), "{error}");
+        assert_eq!(turned.with_first(last), episode);
     }
 }
 
@@ -268,6 +283,76 @@ fn traffic_sees_every_ego_and_none_that_has_left() {
         agent.is_some_and(|agent| agent.to_local(place_m).x < -5.0)
     });
     assert!(passed, "and traffic goes on over its place");
+}
+
+#[test]
+fn rigs_of_all_egos_are_drawn_in_one_world_as_each_alone() {
+    let place = Place::Street {
+        weather: Weather::Clear,
+        background: 3000,
+        agent_splats: 300,
+        seed: 1,
+    };
+    let appearance = Appearance {
+        only_cars: true,
+        ..Appearance::default()
+    };
+    let site = Arc::new(Site::open(&place, Path::new(""), Some(&appearance)).unwrap());
+    let mut scenario = one_behind_the_other(&site, 9.0, [2.0, 2.0]);
+    scenario.place = place;
+    let session = session(Outputs {
+        color: ColorFormat::U8,
+        ..Outputs::default()
+    });
+    let scene = site.add_to(&session).unwrap();
+    let size_px = Some([64, 36]);
+    let rig = chosen(&site.loaded.rig, &Cameras::All, size_px).unwrap();
+    let rigs = vec![rig.clone(), rig.clone()];
+    let mut together = EgosRenderer::new(session.batch_renderer(), &scene, rigs, 1);
+    let simulation = Simulation::new(&scenario, &site).unwrap();
+    together.draw(&simulation, 0).unwrap();
+    let mut alone = session.batch_renderer();
+    let mut images = HostImages::default();
+    let mut world = World::empty(&scene);
+    for ego in 0..2 {
+        let view = simulation.view(ego);
+        let (pose, motion) = view.show(&mut world).unwrap();
+        let shown: Vec<&str> = (world.agents().iter())
+            .map(|agent| agent.name.as_str())
+            .collect();
+        let other = &scenario.ego_identity(1 - ego).name;
+        assert_eq!(
+            shown,
+            [other.as_str()],
+            "ego {ego} sees the other, not itself"
+        );
+        let cameras = rig.moving_at(&pose, &motion);
+        let view = WorldView {
+            world: &world,
+            cameras: &cameras,
+        };
+        alone.draw(&[view], &mut images).unwrap();
+        let readings = together.readings(ego);
+        assert_eq!(readings.len(), 6);
+        for (camera, frame) in images_of(&readings).enumerate() {
+            assert!(
+                frame.rgba == images.rgba(0, camera),
+                "ego {ego}, camera {camera}"
+            );
+        }
+        assert_eq!(together.hashes(ego).len(), 6);
+        let empty = WorldView {
+            world: &World::empty(&scene),
+            cameras: &cameras,
+        };
+        alone.draw(&[empty], &mut images).unwrap();
+        let differs = (0..6).any(|camera| {
+            let drawn = images_of(&readings).nth(camera).unwrap();
+            drawn.rgba != images.rgba(0, camera)
+        });
+        assert!(differs, "the other ego is in an image of ego {ego}");
+    }
+    assert_silent(&session);
 }
 
 /// Planner that stands, and fails after some steps.

@@ -58,6 +58,9 @@ pub struct Arguments {
     /// Folder that the scenario's files are relative to [default: the log's]
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
+    /// Ego whose sensors are written, by its name, where the log has several [default: the first]
+    #[arg(long, value_name = "EGO")]
+    ego: Option<String>,
     /// Light transfer for the cars, as given to the run
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
@@ -94,6 +97,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let out = &arguments.out;
     Force::default().outputs(&[]).whole_folder(out)?;
     let episode = read_episode_log(&arguments.log)?;
+    let episode = match &arguments.ego {
+        Some(name) => episode.with_first_named(name)?,
+        None => episode,
+    };
     let base = arguments.base.as_deref().or(arguments.log.parent());
     let appearance = Appearance {
         transfer: transfer_in(arguments.light.as_deref())?,
