@@ -26,6 +26,7 @@ mod rolling_shutter;
 mod scenes;
 pub mod sky;
 mod storage;
+mod views_of_one_world;
 pub mod worlds;
 
 pub use agents::background;

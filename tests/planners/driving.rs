@@ -7,7 +7,7 @@ use decouplegs::scene::episode::{
     EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord, RoadRecord,
 };
 use decouplegs::scene::scenario::{EgoTask, Place};
-use decouplegs::scene::{Episode, EpisodeEnd, EpisodeStep, Plan, Scenario, Weather};
+use decouplegs::scene::{Egos, Episode, EpisodeEnd, EpisodeStep, Plan, Scenario, Weather};
 use decouplegs::scene::{Pose, TimedPose, Trajectory, VehicleSize, VehicleState};
 use glam::DVec2;
 
@@ -137,6 +137,7 @@ fn recorded() -> Episode {
         step_s: 1.0,
         place,
         ego,
+        egos: Egos::default(),
         agents: vec![],
         lights: vec![],
         pedestrians: vec![],
@@ -170,6 +171,7 @@ fn recorded() -> Episode {
         start: instant(0),
         steps: vec![step],
         end: EpisodeEnd::Time,
+        others: vec![],
     }
 }
 

@@ -8,6 +8,7 @@ mod road_course;
 mod road_users;
 mod rollouts;
 mod scene_ahead;
+mod several_egos;
 mod static_world;
 mod traffic_lights;
 mod traffic_signs;

@@ -117,6 +117,7 @@ fn an_episode_steered_by_hand_is_one_of_plans() {
     while rollout.end().is_none() {
         let plan = rollout
             .simulation()
+            .view(0)
             .ego()
             .plan_under(0.0, -3.0, 2.0)
             .unwrap();

@@ -1,5 +1,6 @@
 //! `decouplegs drive`: episodes in closed loop.
 
+mod egos;
 mod episode_queue;
 mod folder;
 mod generated;
@@ -24,6 +25,7 @@ use decouplegs::scene::episode::EpisodeEnd;
 use decouplegs::scene::{Drivers, Level};
 use serde_json::json;
 
+use self::egos::EgoPlanner;
 use self::folder::RunFolder;
 pub use self::image_writer::{ImageWriter, Images};
 use self::run_devices::RunDevices;
@@ -91,6 +93,14 @@ pub struct Arguments {
     /// exec:COMMAND, unix:SOCKET, or egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
+    /// Planner of one of the egos of a scenario, by the name of the ego. May be repeated. Egos
+    /// without one are driven by the planner that the scenario names for them, or by --planner
+    #[arg(long, value_name = "EGO=PLANNER")]
+    ego_planner: Vec<EgoPlanner>,
+    /// Generate scenarios with N egos, 2 to 8: cars of the traffic become egos, and keep their
+    /// names
+    #[arg(long, value_name = "N", allow_negative_numbers = true, requires = "level", value_parser = clap::value_parser!(u8).range(2..=8))]
+    egos: Option<u8>,
     /// Program that drives the vehicles of the traffic in place of the driver model, all of them in
     /// one process: exec:COMMAND, unix:SOCKET, or onnx:MODEL, a network. Those that it leaves out
     /// are driven by the model
@@ -275,6 +285,14 @@ impl Arguments {
         if self.winnable {
             settings["winnable"] = true.into();
         }
+        if let Some(egos) = self.egos {
+            settings["egos"] = egos.into();
+        }
+        if !self.ego_planner.is_empty() {
+            let planners = self.ego_planner.iter();
+            let planners = planners.map(|named| format!("{}={}", named.ego, named.planner));
+            settings["ego_planner"] = planners.collect::<Vec<String>>().into();
+        }
         if let Some(tracks) = self.tracks.to_json() {
             settings["tracks"] = tracks;
         }
@@ -373,7 +391,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     drop(planner);
     drop(arguments.agents()?);
     let folder = RunFolder::open(&arguments.out, &arguments.settings())?;
-    let jobs = match jobs::list(arguments, &folder) {
+    let listed = jobs::list(arguments, &folder);
+    let checked = listed.and_then(|jobs| egos::check(arguments, &jobs).map(|()| jobs));
+    let jobs = match checked {
         Ok(jobs) => jobs,
         Err(error) => {
             folder.forget();

@@ -5,6 +5,7 @@ mod charts;
 mod commanded;
 mod comparison;
 mod devices;
+mod egos;
 mod hd_score;
 mod page;
 mod rules;
@@ -125,6 +126,7 @@ pub fn text(scored: &[Scored]) -> Result<String> {
         ));
     }
     text.push_str(&rules::text(scored));
+    text.push_str(&egos::text(scored));
     Ok(text)
 }
 
@@ -148,7 +150,7 @@ pub fn write(
             .zip(scored)
         {
             // Null if no line says so: the run was killed between the log and the line.
-            let device = by_episode.get(scored.name()).copied().cloned();
+            let device = by_episode.get(scored.scenario_name()).copied().cloned();
             episode["device"] = device.unwrap_or_default();
         }
         report["device_use"] = devices.to_json(scored);
@@ -339,6 +341,10 @@ fn episode_to_json(scored: &Scored) -> Value {
         "infractions": score.infractions.iter().map(infraction).collect::<Vec<_>>(),
         "log": scored.log.display().to_string(),
     });
+    if scenario.egos.count() > 1 {
+        episode["ego"] = scenario.egos.own.name.clone().into();
+        episode["planner"] = scored.head.planner.name.clone().into();
+    }
     if let Some(commanded) = &scored.commanded {
         episode["agents"] = commanded::to_json(commanded, scenario);
     }

@@ -64,6 +64,9 @@ pub struct Arguments {
     /// constant-velocity
     #[arg(long, value_name = "PLANNER", default_value = "lane-follow")]
     planner: PlannerChoice,
+    /// Ego whose sensors are written, by its name, where the log has several [default: the first]
+    #[arg(long, value_name = "EGO")]
+    ego: Option<String>,
     /// Light transfer for the cars, as given to the run
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
@@ -103,6 +106,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let out = &arguments.out;
     Force::default().outputs(&[]).whole_folder(out)?;
     let episode = read_episode_log(&arguments.log)?;
+    let episode = match &arguments.ego {
+        Some(name) => episode.with_first_named(name)?,
+        None => episode,
+    };
     let base = arguments.base.as_deref().or(arguments.log.parent());
     if arguments.format == Format::Plans {
         return write_plans(arguments, &episode, base.unwrap_or(Path::new("")));

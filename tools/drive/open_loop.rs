@@ -46,6 +46,9 @@ pub struct Arguments {
     /// Folder that the scenario's files are relative to (default: the log's)
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
+    /// Ego that is followed, by its name, where the log has several [default: the first]
+    #[arg(long, value_name = "EGO")]
+    ego: Option<String>,
     /// Light transfer for the cars of rendered images
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
@@ -75,6 +78,10 @@ struct Answers {
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.force.files(&[&arguments.log], &arguments.json)?;
     let episode = read_episode_log(&arguments.log)?;
+    let episode = match &arguments.ego {
+        Some(name) => episode.with_first_named(name)?,
+        None => episode,
+    };
     ensure!(
         !episode.steps.is_empty(),
         "{} has no steps to show a planner",
@@ -141,7 +148,7 @@ fn answers(arguments: &Arguments, episode: &Episode, source: &Path) -> Result<An
                 renderer.draw(&shadow, step).map_err(EpisodeError::from)?;
                 let readings = renderer.readings();
                 let images = images(&readings).map(|frame| frame.rgba.to_vec()).collect();
-                shadow.advance(&episode.steps[step as usize].plan);
+                shadow.advance_with(&episode.plans_at(step), |_| {});
                 Ok(images)
             };
             plans(episode, &ready.site, &rig, planner.as_mut(), drawn)?

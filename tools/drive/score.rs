@@ -82,12 +82,7 @@ fn read(paths: &[PathBuf]) -> Result<Vec<Scored>> {
     let mut scored = Vec::with_capacity(paths.len());
     for path in paths {
         let images = episode_report::images_beside(path);
-        scored.push(Scored::new(
-            read_episode_log(path)?,
-            path.clone(),
-            images,
-            None,
-        )?);
+        scored.extend(Scored::egos(read_episode_log(path)?, path, &images, None)?);
         bar.inc(1);
     }
     bar.finish_and_clear();

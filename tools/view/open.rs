@@ -46,6 +46,9 @@ pub struct SourceArguments {
     /// Folder that the files of a log or a scenario are relative to [default: its own]
     #[arg(long, value_name = "DIR")]
     base: Option<PathBuf>,
+    /// Ego that is followed, by its name, where the log has several [default: the first]
+    #[arg(long, value_name = "EGO")]
+    ego: Option<String>,
     /// Light transfer for the cars of a log or a scenario, as given to 'drive'
     #[arg(long, value_name = "FILE")]
     light: Option<PathBuf>,
@@ -119,9 +122,18 @@ impl SourceArguments {
             Some(path) => path.clone(),
             None => demo()?,
         };
-        let mut sources = match input(&path)? {
+        let opened = input(&path)?;
+        ensure!(
+            self.ego.is_none() || matches!(opened, Input::Log(_)),
+            "{}: --ego names an ego of a log (.log)",
+            path.display()
+        );
+        let mut sources = match opened {
             Input::Scene => self.scenes(&path, session)?,
-            Input::Log(episode) => self.episodes(&path, &Start::Log(episode), session)?,
+            Input::Log(episode) => {
+                let episode = Box::new(self.followed(*episode)?);
+                self.episodes(&path, &Start::Log(episode), session)?
+            }
             Input::Scenario(scenario) => {
                 let planner = self.planner.clone();
                 let planner = planner.unwrap_or(PlannerName::Engine(PlannerChoice::LaneFollow));
@@ -132,6 +144,14 @@ impl SourceArguments {
             begin_at(&mut sources, time_s, &path)?;
         }
         Ok(sources)
+    }
+
+    /// A log with the ego that is followed in the place of the first.
+    fn followed(&self, episode: Episode) -> Result<Episode> {
+        match &self.ego {
+            Some(name) => Ok(episode.with_first_named(name)?),
+            None => Ok(episode),
+        }
     }
 
     /// Time that is shown first, seconds, if one was given.
@@ -189,7 +209,10 @@ impl SourceArguments {
         let against = self.against.as_deref();
         let against_log = against.filter(|against| against.ends_with(".log"));
         let against_log = against_log
-            .map(|file| read_episode_log(Path::new(file)).map(|log| (Path::new(file), log)))
+            .map(|file| {
+                let log = self.followed(read_episode_log(Path::new(file))?)?;
+                anyhow::Ok((Path::new(file), log))
+            })
             .transpose()?;
         let others = against_log.iter().map(|(_, other)| &other.head.scenario);
         let appearance = Appearance {

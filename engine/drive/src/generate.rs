@@ -29,7 +29,7 @@ use std::sync::Arc;
 
 use decouplegs_scene::scenario::{Drivers, EgoTask, TrafficAgent};
 use decouplegs_scene::{
-    LaneMap, Level, Scenario, Story, TrafficLight, TrafficSign, VehicleSize, VehicleState,
+    Egos, LaneMap, Level, Scenario, Story, TrafficLight, TrafficSign, VehicleSize, VehicleState,
 };
 use glam::DVec2;
 
@@ -311,6 +311,7 @@ impl<'a> Generator<'a> {
                 signs: self.signs(&lights),
                 story: Story::default(),
                 lights,
+                egos: Egos::default(),
                 ego: EgoTask {
                     speed_mps: vehicles[0].speed_mps,
                     ..start.task

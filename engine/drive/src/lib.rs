@@ -17,6 +17,7 @@ pub mod lights;
 pub mod obstacles;
 pub mod occupancy;
 pub mod oriented_box;
+pub mod other_egos;
 pub mod planar;
 pub mod polyline;
 mod reference_drive;

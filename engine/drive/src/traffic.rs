@@ -8,7 +8,7 @@
 //! brakes as hard as that keeps all of it true, so there is always a way to go on. The models (IDM,
 //! MOBIL) drive within these bounds.
 //!
-//! All agents see the ego, but none is kept from it: an agent that cannot stop for it hits it.
+//! All agents see the egos, but none is kept from one: an agent that cannot stop for it hits it.
 //!
 //! Everything follows from the agents, the seed and the ego's motion, bit by bit.
 
@@ -44,7 +44,7 @@ use std::sync::Arc;
 
 use decouplegs_scene::episode::LightChangeRecord;
 use decouplegs_scene::scenario::{Behavior, Drivers, Scenario};
-use decouplegs_scene::{Invalid, LaneMap, Pedestrian, Story, VehicleSize, VehicleState};
+use decouplegs_scene::{Egos, Invalid, LaneMap, Pedestrian, Story, VehicleSize, VehicleState};
 use glam::DVec2;
 
 use crate::lights::TrafficLights;
@@ -78,6 +78,9 @@ pub struct LanePosition {
     pub lateral_m: f64,
 }
 
+/// State and size of an ego; `None` while it is not on the road.
+pub type EgoBox = Option<(VehicleState, VehicleSize)>;
+
 /// All agents of an episode.
 #[derive(Clone, Debug)]
 pub struct Traffic {
@@ -94,8 +97,8 @@ pub struct Traffic {
     waiting: Vec<u32>,
     accelerations: Vec<(f64, bool)>,
     outsiders: Outsiders,
-    /// State of the ego, for triggers.
-    ego: Option<VehicleState>,
+    /// States of the egos, for triggers.
+    egos: Vec<VehicleState>,
     pedestrians: Vec<Walker>,
     /// Actors, if there are any.
     stage: Option<Stage>,
@@ -205,26 +208,39 @@ impl Traffic {
     /// # Panics
     /// Panics if `dt_s` is not in that range.
     pub fn step(&mut self, dt_s: f64, ego: Option<(&VehicleState, &VehicleSize)>) {
+        self.step_among(dt_s, &[ego.map(|(state, size)| (*state, *size))]);
+    }
+
+    /// One step like [`Self::step`], among several egos, each at its own place of the list. The
+    /// story sees the first alone; triggers and cut-ins are about the nearest.
+    ///
+    /// # Panics
+    /// Panics if `dt_s` is not in that range, or there are more than [`Egos::MAX`] egos.
+    pub fn step_among(&mut self, dt_s: f64, egos: &[EgoBox]) {
+        assert!(egos.len() <= Egos::MAX, "{} egos", egos.len());
         assert!(
             dt_s > 0.0 && dt_s <= Scenario::SUBSTEP_S_MAX + 1e-9,
             "a step of {dt_s} s"
         );
-        let walks_mps = self.decide_walks(dt_s, ego);
-        self.ego = ego.map(|(state, _)| *state);
-        let seen_from_tracks = self.seen_from_tracks(ego);
+        let here = || egos.iter().flatten();
+        self.egos = here().map(|(state, _)| *state).collect();
+        let walks_mps = self.decide_walks(dt_s, egos);
+        let seen_from_tracks = self.seen_from_tracks(egos);
         let walkers = self.pedestrians.iter();
         let walkers = walkers.filter_map(|walker| walker.seen(&self.graph));
         let actors = self.scripted();
         let actors = actors.filter_map(|(state, size)| Outsider::actor(&self.graph, &state, &size));
         self.outsiders = Outsiders {
-            ego: ego.and_then(|(state, size)| Outsider::ego(&self.graph, state, size)),
+            egos: (egos.iter().enumerate())
+                .filter_map(|(number, ego)| Outsider::ego(&self.graph, number, ego.as_ref()?))
+                .collect(),
             pedestrians: walkers.chain(actors).collect(),
         };
         let freely = self.body_boxes();
         let freely = freely.filter_map(|(state, size)| Outsider::actor(&self.graph, &state, &size));
         let freely: Vec<Outsider> = freely.collect();
         self.outsiders.pedestrians.extend(freely);
-        let decided = self.decide_bodies(ego);
+        let decided = self.decide_bodies(egos);
         self.order.build(&self.graph, &self.agents, &self.outsiders);
         self.claims
             .build(&self.graph, &self.agents, &self.outsiders);
@@ -264,7 +280,8 @@ impl Traffic {
             *state = Some(walker.state());
         }
         if let Some(stage) = &mut self.stage {
-            stage.step(self.time_s, dt_s, ego);
+            let first = egos.first().and_then(Option::as_ref);
+            stage.step(self.time_s, dt_s, first.map(|(state, size)| (state, size)));
             self.lights = Arc::clone(stage.lights());
             let first = self.agents.len() + self.pedestrians.len();
             for (state, moved) in self.states[first..].iter_mut().zip(stage.states()) {
@@ -278,7 +295,7 @@ impl Traffic {
     }
 
     /// Speeds of all pedestrians after a step.
-    fn decide_walks(&mut self, dt_s: f64, ego: Option<(&VehicleState, &VehicleSize)>) -> Vec<f64> {
+    fn decide_walks(&mut self, dt_s: f64, egos: &[EgoBox]) -> Vec<f64> {
         if self.pedestrians.is_empty() {
             return Vec::new();
         }
@@ -291,12 +308,15 @@ impl Traffic {
         let actors = self.scripted();
         let vehicles: Vec<Vehicle> = here
             .chain(actors.map(|(state, size)| vehicle(&state, &size)))
-            .chain(ego.map(|(state, size)| vehicle(state, size)))
+            .chain(
+                egos.iter()
+                    .flatten()
+                    .map(|(state, size)| vehicle(state, size)),
+            )
             .collect();
-        let ego = ego.map(|(state, _)| state);
         let walkers = self.pedestrians.iter_mut();
         walkers
-            .map(|walker| walker.decide((self.time_s, dt_s), ego, &vehicles))
+            .map(|walker| walker.decide((self.time_s, dt_s), &self.egos, &vehicles))
             .collect()
     }
 

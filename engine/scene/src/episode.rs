@@ -3,6 +3,7 @@
 use glam::DVec2;
 
 use crate::camera::Intrinsics;
+use crate::invalid::Invalid;
 use crate::obstacle::Obstacle;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
@@ -291,6 +292,10 @@ pub struct Episode {
     pub steps: Vec<EpisodeStep>,
     /// Reason of the end.
     pub end: EpisodeEnd,
+    /// Episodes of the other egos, each until its own end, in the order of the scenario;
+    /// empty where there is one ego. Their scenario is that of the first as
+    /// [`Scenario::for_ego`] has it, and they have no others.
+    pub others: Vec<Episode>,
 }
 
 impl Episode {
@@ -302,7 +307,104 @@ impl Episode {
         for instant in std::iter::once(&mut self.start).chain(later) {
             instant.road = instant.road.filter(|_| version >= ROAD_VERSION);
         }
+        let others = std::mem::take(&mut self.others).into_iter();
+        self.others = others.map(|other| other.in_version(version)).collect();
         self
+    }
+
+    /// The episode of each ego, in the order of the scenario: this one, and the others.
+    pub fn egos(&self) -> impl ExactSizeIterator<Item = &Self> {
+        (0..1 + self.others.len()).map(|ego| self.ego(ego))
+    }
+
+    /// The episode of ego `ego`, from 0.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    #[must_use]
+    pub fn ego(&self, ego: usize) -> &Self {
+        match ego {
+            0 => self,
+            _ => &self.others[ego - 1],
+        }
+    }
+
+    /// The episode with ego `ego`, from 0, in the place of the first. Done twice, it is the episode
+    /// itself.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    #[must_use]
+    pub fn with_first(mut self, ego: usize) -> Self {
+        if ego == 0 {
+            return self;
+        }
+        let mut others = std::mem::take(&mut self.others);
+        std::mem::swap(&mut self, &mut others[ego - 1]);
+        let scenario = self.head.scenario.clone();
+        for (at, other) in (1..).zip(&mut others) {
+            if at != ego {
+                other.swap_egos(at, ego);
+                other.head.scenario = scenario.for_ego(at);
+            }
+        }
+        self.others = others;
+        self
+    }
+
+    /// Swaps the places of two egos, counted from 1, among the agents.
+    fn swap_egos(&mut self, a: usize, b: usize) {
+        let first = self.head.agent_sizes.len() - self.head.scenario.egos.others.len();
+        let (a, b) = (first + a - 1, first + b - 1);
+        self.head.agent_sizes.swap(a, b);
+        let later = self.steps.iter_mut().flat_map(|step| &mut step.instants);
+        for instant in std::iter::once(&mut self.start).chain(later) {
+            instant.agents.swap(a, b);
+        }
+        if let EpisodeEnd::Collision { agent } = &mut self.end {
+            *agent = match *agent {
+                agent if agent == a => b,
+                agent if agent == b => a,
+                agent => agent,
+            };
+        }
+    }
+
+    /// The episode with the ego called `name` in the place of the first.
+    ///
+    /// # Errors
+    /// A sentence with the names that there are.
+    pub fn with_first_named(self, name: &str) -> Result<Self, Invalid> {
+        let names = self
+            .egos()
+            .map(|ego| ego.head.scenario.egos.own.name.as_str());
+        let names: Vec<&str> = names.collect();
+        match names.iter().position(|own| *own == name) {
+            Some(ego) => Ok(self.with_first(ego)),
+            None => Err(Invalid::new(format!(
+                "the log has no ego {name:?}; it has {}",
+                names.join(", ")
+            ))),
+        }
+    }
+
+    /// Plans of all egos at step `step`, in the order of the scenario; `None` for those that had
+    /// ended.
+    #[must_use]
+    pub fn plans_at(&self, step: u32) -> Vec<Option<&Plan>> {
+        let steps = self.egos().map(|ego| ego.steps.get(step as usize));
+        steps.map(|step| step.map(|step| &step.plan)).collect()
+    }
+
+    /// The episode of ego `ego`, from 0, to be changed.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    pub fn ego_mut(&mut self, ego: usize) -> &mut Self {
+        match ego {
+            0 => self,
+            _ => &mut self.others[ego - 1],
+        }
     }
 
     /// Adds a step. The lights of the scenario change as it says, which scores count by.
@@ -318,5 +420,37 @@ impl Episode {
     /// All moments in time, the start included.
     pub fn instants(&self) -> impl Iterator<Item = &EpisodeTick> {
         std::iter::once(&self.start).chain(self.steps.iter().flat_map(|step| &step.instants))
+    }
+}
+
+impl EpisodeTick {
+    /// State of ego `ego` of `count` at this moment, which ego `viewer` sees; `None` where it has
+    /// left.
+    #[must_use]
+    pub fn ego_state(&self, count: usize, viewer: usize, ego: usize) -> Option<VehicleState> {
+        if ego == viewer {
+            return Some(self.ego);
+        }
+        // The place of the viewer is that of the first ego.
+        let slot = if ego == 0 { viewer } else { ego };
+        let first = self.agents.len().checked_sub(count.checked_sub(1)?)?;
+        *self.agents.get(first + slot.checked_sub(1)?)?
+    }
+
+    /// Agents of this moment, which ego `teller` of `count` sees, as ego `viewer` sees them.
+    #[must_use]
+    pub fn agents_for(
+        &self,
+        count: usize,
+        teller: usize,
+        viewer: usize,
+    ) -> Vec<Option<VehicleState>> {
+        let traffic = self.agents.len().saturating_sub(count - 1);
+        let others = (1..count).map(|slot| {
+            let ego = if slot == viewer { 0 } else { slot };
+            self.ego_state(count, teller, ego)
+        });
+        let traffic = self.agents[..traffic].iter().copied();
+        traffic.chain(others).collect()
     }
 }

@@ -5,11 +5,14 @@ use std::path::PathBuf;
 use glam::DVec2;
 
 use crate::air::{Air, Weather};
+use crate::egos::{EgoIdentity, Egos};
 use crate::road_user::RoadUser;
 use crate::story::{Actor, Story, TrackedAgent};
 use crate::traffic_light::TrafficLight;
 use crate::traffic_sign::TrafficSign;
 use crate::vehicle::VehicleSize;
+
+pub use crate::egos::EgoTask;
 
 /// Difficulty of a scenario, as in the paper (supplement, "Definition of Evaluation Scenarios").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -86,28 +89,6 @@ pub enum Place {
         /// File of obstacles. `None`: the cells beside the lanes that the scene's splats fill.
         obstacles: Option<PathBuf>,
     },
-}
-
-/// Task of the ego vehicle.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EgoTask {
-    /// Lanes of its route, by id, each a successor or a neighbor of the one before.
-    pub route: Vec<String>,
-    /// Start on the first of them, meters along it.
-    pub start_m: f64,
-    /// End of the route on the last, meters along it.
-    pub end_m: f64,
-    /// Initial speed.
-    pub speed_mps: f64,
-    /// Cruise speed on a free road.
-    pub cruise_mps: f64,
-    /// Size of the box.
-    pub size: VehicleSize,
-    /// True if the ego moves as the scene was recorded, whatever it plans: an open loop.
-    pub follows_recording: bool,
-    /// Middle of its box at the start, world coordinates in meters, and its heading, radians.
-    /// `None`: the middle of the lane at [`EgoTask::start_m`], along it.
-    pub start_pose: Option<[f64; 3]>,
 }
 
 /// Driver type.
@@ -410,6 +391,9 @@ pub struct Scenario {
     pub place: Place,
     /// The ego's part.
     pub ego: EgoTask,
+    /// Name and look of the ego, and the other egos, if there are any. Wherever agents have an
+    /// index, those of the other egos come last.
+    pub egos: Egos,
     /// Other vehicles.
     pub agents: Vec<TrafficAgent>,
     /// Pedestrians. Wherever agents have an index, theirs follow those of the vehicles.
@@ -444,15 +428,15 @@ impl Scenario {
         (self.duration_s / self.step_s - 1e-9).ceil().max(1.0) as u32
     }
 
-    /// Number of vehicles, pedestrians, actors and recorded road users.
+    /// Number of vehicles, pedestrians, actors, recorded road users and other egos.
     #[must_use]
     pub fn agent_count(&self) -> usize {
         let story = self.story.actors.len() + self.story.tracks.agents.len();
-        self.agents.len() + self.pedestrians.len() + story
+        self.agents.len() + self.pedestrians.len() + story + self.egos.others.len()
     }
 
-    /// Boxes of vehicles, pedestrians, actors and recorded road users, in the order of their
-    /// indices.
+    /// Boxes of vehicles, pedestrians, actors, recorded road users and other egos, in the order of
+    /// their indices.
     #[must_use]
     pub fn agent_sizes(&self) -> Vec<VehicleSize> {
         let vehicles = self.agents.iter().map(|agent| agent.size);
@@ -463,6 +447,7 @@ impl Scenario {
             .chain(pedestrians)
             .chain(actors)
             .chain(tracked)
+            .chain(self.egos.sizes())
             .collect()
     }
 
@@ -472,7 +457,7 @@ impl Scenario {
         (0..self.agent_count()).all(|index| self.agent(index).1 == RoadUser::Car)
     }
 
-    /// Name, kind and asset of a vehicle, pedestrian, actor or recorded road user.
+    /// Name, kind and asset of a vehicle, pedestrian, actor, recorded road user or other ego.
     ///
     /// # Panics
     /// Panics if there is no such agent.
@@ -489,7 +474,51 @@ impl Scenario {
         if let Some(actor) = self.story.actors.get(index) {
             return (&actor.name, actor.kind, actor.asset);
         }
-        let tracked = &self.story.tracks.agents[index - self.story.actors.len()];
-        (&tracked.name, tracked.kind, tracked.asset)
+        let index = index - self.story.actors.len();
+        if let Some(tracked) = self.story.tracks.agents.get(index) {
+            return (&tracked.name, tracked.kind, tracked.asset);
+        }
+        let other = &self.egos.others[index - self.story.tracks.agents.len()].identity;
+        (&other.name, RoadUser::Car, other.asset)
+    }
+
+    /// Task of ego `ego`, from 0, in the order of the file.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    #[must_use]
+    pub fn ego_task(&self, ego: usize) -> &EgoTask {
+        match ego {
+            0 => &self.ego,
+            _ => &self.egos.others[ego - 1].task,
+        }
+    }
+
+    /// Identity of ego `ego`, from 0, in the order of the file.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    #[must_use]
+    pub fn ego_identity(&self, ego: usize) -> &EgoIdentity {
+        match ego {
+            0 => &self.egos.own,
+            _ => &self.egos.others[ego - 1].identity,
+        }
+    }
+
+    /// The scenario for ego `ego`: its task is [`Scenario::ego`], and the first ego has its place
+    /// among the others. Done twice, it is the scenario itself.
+    ///
+    /// # Panics
+    /// Panics if there is no such ego.
+    #[must_use]
+    pub fn for_ego(&self, ego: usize) -> Self {
+        let mut scenario = self.clone();
+        if ego > 0 {
+            let other = &mut scenario.egos.others[ego - 1];
+            std::mem::swap(&mut scenario.ego, &mut other.task);
+            std::mem::swap(&mut scenario.egos.own, &mut other.identity);
+        }
+        scenario
     }
 }

@@ -9,6 +9,7 @@ use decouplegs_scene::{Camera, GroundShadow};
 use glam::DVec3;
 
 use super::batch_renderer::WorldView;
+use super::world::SharedAgents;
 use super::{SessionError, SessionScene, World};
 use crate::{AgentInstance, LiveScene};
 
@@ -17,6 +18,18 @@ struct Part {
     view: usize,
     cameras: usize,
     agents: Vec<AgentInstance>,
+    /// Agents of the world that the view is a part of, if it is.
+    shared: Option<SharedAgents>,
+}
+
+impl Part {
+    /// True if both views are of one world.
+    fn is_of_world_of(&self, other: &Self) -> bool {
+        match (&self.shared, &other.shared) {
+            (Some(own), Some(other)) => Arc::ptr_eq(&own.all, &other.all),
+            _ => false,
+        }
+    }
 }
 
 /// Contents of one frame: cameras over one background. It owns all it needs, so that a frame can
@@ -79,6 +92,7 @@ impl Batch {
                 view,
                 cameras: 1,
                 agents: world.present_agents().collect(),
+                shared: world.shared().cloned(),
             }),
         }
     }
@@ -105,24 +119,63 @@ impl Batch {
         };
         let mut shadow_cameras = Vec::new();
         let mut first = 0;
-        for part in &self.parts {
-            let own = ((1u64 << part.cameras) - 1) << first;
-            first += part.cameras;
-            let moment = live.placed(&part.agents);
-            batch
-                .agents
-                .extend(moment.agents.into_iter().map(|agent| Agent {
-                    cameras: own as u32,
-                    ..agent
-                }));
-            shadow_cameras.extend(std::iter::repeat_n(own as u32, moment.shadows.len()));
-            batch.shadows.extend(moment.shadows);
+        for parts in self.parts.chunk_by(Part::is_of_world_of) {
+            for run in runs(parts, &mut first) {
+                let moment = live.placed(&run.agents);
+                batch
+                    .agents
+                    .extend(moment.agents.into_iter().map(|agent| Agent {
+                        cameras: run.cameras,
+                        ..agent
+                    }));
+                shadow_cameras.extend(std::iter::repeat_n(run.cameras, moment.shadows.len()));
+                batch.shadows.extend(moment.shadows);
+            }
         }
         // One world needs no masks, and kernels without them are the faster ones.
         batch.shadow_cameras =
             (self.parts.len() > 1 && !shadow_cameras.is_empty()).then_some(shadow_cameras);
         batch
     }
+}
+
+/// Agents one after the other that the same cameras see.
+struct Run {
+    agents: Vec<AgentInstance>,
+    /// A bit for each camera.
+    cameras: u32,
+}
+
+/// Agents of views of one world, in their order. The bit of the first camera is `first`, which
+/// becomes that of the camera after the last.
+fn runs(parts: &[Part], first: &mut usize) -> Vec<Run> {
+    let mut mask = |part: &Part| {
+        let own = ((1u64 << part.cameras) - 1) << *first;
+        *first += part.cameras;
+        own as u32
+    };
+    let masks: Vec<u32> = parts.iter().map(&mut mask).collect();
+    let (Some(shared), true) = (&parts[0].shared, parts.len() > 1) else {
+        return vec![Run {
+            agents: parts[0].agents.clone(),
+            cameras: masks[0],
+        }];
+    };
+    let sees = |part: &Part, agent: &AgentInstance| {
+        let without = part.shared.as_ref().map(|shared| shared.without);
+        without != Some(agent.instance)
+    };
+    let cameras_of = |agent: &AgentInstance| {
+        let seeing = parts.iter().zip(&masks);
+        let seeing = seeing.filter(|(part, _)| sees(part, agent));
+        seeing.fold(0, |all, (_, mask)| all | mask)
+    };
+    let same = |a: &AgentInstance, b: &AgentInstance| cameras_of(a) == cameras_of(b);
+    let all = shared.all.chunk_by(same).map(|agents| Run {
+        cameras: cameras_of(&agents[0]),
+        agents: agents.to_vec(),
+    });
+    all.filter(|run| run.cameras != 0).collect()
 }
 
 impl AgentBatch {

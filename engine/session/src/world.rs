@@ -30,6 +30,17 @@ pub struct WorldAgent {
 pub struct World {
     scene: Arc<SessionScene>,
     agents: Vec<WorldAgent>,
+    /// World that it is a view of, until its agents change.
+    shared: Option<SharedAgents>,
+}
+
+/// Agents of several views of one world, and the one that a view leaves out.
+#[derive(Clone)]
+pub(super) struct SharedAgents {
+    /// Agents that images show, in their order.
+    pub all: Arc<[AgentInstance]>,
+    /// Instance id of the agent that is left out.
+    pub without: u16,
 }
 
 impl World {
@@ -44,6 +55,7 @@ impl World {
         Self {
             agents: scene.agents().iter().map(agent).collect(),
             scene: scene.clone(),
+            shared: None,
         }
     }
 
@@ -53,6 +65,7 @@ impl World {
         Self {
             agents: Vec::new(),
             scene: scene.clone(),
+            shared: None,
         }
     }
 
@@ -69,6 +82,7 @@ impl World {
         Ok(Self {
             agents: self.agents.clone(),
             scene: scene.clone(),
+            shared: None,
         })
     }
 
@@ -90,10 +104,37 @@ impl World {
         present.map(|agent| agent.placed)
     }
 
+    /// Views of this world, one for each of `instances`, without the agent of that id: cameras on
+    /// an agent do not see it. In one frame of such views, an agent that several show is lit and
+    /// kept on the device once.
+    #[must_use]
+    pub fn without_each(&self, instances: &[u16]) -> Vec<Self> {
+        let all: Arc<[AgentInstance]> = self.present_agents().collect();
+        let view = |&without: &u16| {
+            let others = self.agents.iter();
+            let others = others.filter(|agent| agent.placed.instance != without);
+            Self {
+                scene: self.scene.clone(),
+                agents: others.cloned().collect(),
+                shared: Some(SharedAgents {
+                    all: all.clone(),
+                    without,
+                }),
+            }
+        };
+        instances.iter().map(view).collect()
+    }
+
+    /// World that it is a view of, if its agents did not change since.
+    pub(super) fn shared(&self) -> Option<&SharedAgents> {
+        self.shared.as_ref()
+    }
+
     /// Puts the agents of the scene file that are still here where their trajectories have them at
     /// `time_s`. Those that the scene file has not at that time are absent until another time is
     /// set, or they are moved or placed.
     pub fn set_time(&mut self, time_s: f64) {
+        self.shared = None;
         for agent in &mut self.agents {
             if let Some(loaded) = self.scene.agent(&agent.name) {
                 agent.placed.pose = loaded.trajectory.at(time_s);
@@ -110,6 +151,7 @@ impl World {
     /// Returns an error if there is none of that name, or it is part of the background.
     pub fn move_to(&mut self, name: &str, pose: Pose) -> Result<(), SessionError> {
         let index = self.index_of(name)?;
+        self.shared = None;
         let agent = &mut self.agents[index];
         (agent.placed.pose, agent.placed.motion) = (pose, Motion::REST);
         agent.present = true;
@@ -123,6 +165,7 @@ impl World {
     /// Returns an error if there is none of that name, or it is part of the background.
     pub fn set_motion(&mut self, name: &str, motion: Motion) -> Result<(), SessionError> {
         let index = self.index_of(name)?;
+        self.shared = None;
         self.agents[index].placed.motion = motion;
         Ok(())
     }
@@ -141,6 +184,7 @@ impl World {
         sh_frame: Option<ShFrame>,
     ) -> Result<u16, SessionError> {
         self.scene.asset_dims_m(asset)?;
+        self.shared = None;
         match self.index_of(name) {
             Ok(index) => {
                 let agent = &mut self.agents[index];
@@ -202,6 +246,7 @@ impl World {
                 count,
             });
         }
+        self.shared = None;
         self.agents = agents;
         Ok(())
     }
@@ -212,6 +257,7 @@ impl World {
     /// Returns an error if there is none of that name, or it is part of the background.
     pub fn remove(&mut self, name: &str) -> Result<WorldAgent, SessionError> {
         let index = self.index_of(name)?;
+        self.shared = None;
         Ok(self.agents.remove(index))
     }
 

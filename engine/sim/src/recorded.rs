@@ -4,7 +4,9 @@ use decouplegs_drive::polyline::wrapped;
 use decouplegs_drive::route::{LaneSpot, lanes_between};
 use decouplegs_drive::{LaneIndex, Route};
 use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
-use decouplegs_scene::{Invalid, LaneKind, LaneMap, Scenario, Story, Trajectory, VehicleSize};
+use decouplegs_scene::{
+    Egos, Invalid, LaneKind, LaneMap, Scenario, Story, Trajectory, VehicleSize,
+};
 use glam::{DVec2, DVec3};
 
 use crate::episode::Site;
@@ -55,6 +57,7 @@ pub fn recorded_scenario(site: &Site, place: Place) -> Result<Scenario, Invalid>
         step_s: Scenario::STEP_S,
         place,
         ego,
+        egos: Egos::default(),
         agents: Vec::new(),
         pedestrians: Vec::new(),
         lights: Vec::new(),

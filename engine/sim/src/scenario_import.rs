@@ -29,7 +29,7 @@ use decouplegs_logs::read_open_scenario;
 use decouplegs_logs::scenario_file::DURATION_S_MAX;
 use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
 use decouplegs_scene::story::{Actor, Dynamics, Who};
-use decouplegs_scene::{LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, Story};
+use decouplegs_scene::{Egos, LaneMap, Obstacle, ObstacleKind, RoadUser, Scenario, Story};
 use glam::DVec2;
 
 use self::locate::{Located, Locator, Place as Found};
@@ -189,6 +189,7 @@ impl Import<'_> {
                 agent_splats: 1,
             },
             ego: task,
+            egos: Egos::default(),
             agents: Vec::new(),
             pedestrians: Vec::new(),
             lights: self.lights(&mut skipped),

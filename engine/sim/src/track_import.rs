@@ -5,7 +5,7 @@ use decouplegs_asset::tracks::nominal_height_m;
 use decouplegs_drive::polyline::wrapped;
 use decouplegs_scene::scenario::{Drivers, EgoTask, Place};
 use decouplegs_scene::story::{Handover, Story, TrackedAgent, Tracks};
-use decouplegs_scene::{Invalid, LaneMap, RoadUser, Scenario, Track, VehicleSize};
+use decouplegs_scene::{Egos, Invalid, LaneMap, RoadUser, Scenario, Track, VehicleSize};
 use glam::{DVec2, DVec3};
 
 use crate::names::{UniqueNames, scenario_name};
@@ -83,6 +83,7 @@ pub fn import_tracks(
         step_s: Scenario::STEP_S,
         place,
         ego: task,
+        egos: Egos::default(),
         agents: Vec::new(),
         pedestrians: Vec::new(),
         lights: Vec::new(),

@@ -130,7 +130,7 @@ impl ImageWriter {
     }
 
     /// Writes the key frames.
-    fn close(&mut self) -> Result<()> {
+    pub fn close(&mut self) -> Result<()> {
         let mut keys = std::mem::take(&mut self.keys);
         keys.extend(
             self.last

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use decouplegs::asset::{AssetError, UnfinishedFolder};
-use decouplegs::episode::{self, Driven, ObservationRenderer, chosen, chosen_lidars, drive_among};
+use decouplegs::episode::{
+    self, Driven, EgosRenderer, ObservationRenderer, chosen, chosen_lidars, drive_among,
+};
 use decouplegs::logs::read_episode_log;
 use decouplegs::planner::agents::AgentDriver;
 use decouplegs::planner::{Cameras, Planner};
@@ -19,6 +21,7 @@ use decouplegs_cli::video;
 use indicatif::ProgressBar;
 
 use super::Arguments;
+use super::egos::{EgosDrive, Pool, has_several};
 use super::episode_queue::EpisodeQueue;
 use super::folder::RunFolder;
 use super::image_writer::{EpisodeImages, ImageWriter};
@@ -109,6 +112,7 @@ impl<'a> Run<'a> {
             planner: None,
             agents: None,
             renderer: None,
+            pool: Pool::default(),
         };
         let is_out = || position.is_some_and(|position| self.devices.is_out(position));
         while !is_out()
@@ -124,7 +128,7 @@ impl<'a> Run<'a> {
             let not_driven = || format!("episode {name} was not driven");
             match (worker.job(job), position) {
                 (Ok(done), _) => {
-                    locked(&self.scored).push(done);
+                    locked(&self.scored).extend(done);
                     self.queue.finish();
                 }
                 (Err(error), Some(position)) if is_device_fault(&error) => {
@@ -212,10 +216,13 @@ struct Worker<'a> {
     /// Program that drives agents, where one is named.
     agents: Option<Box<dyn AgentDriver>>,
     renderer: Option<ObservationRenderer>,
+    /// Planners of episodes with several egos.
+    pool: Pool,
 }
 
 impl Worker<'_> {
-    fn job(&mut self, job: &Job) -> Result<Scored> {
+    /// The episode of `job`, for each of its egos.
+    fn job(&mut self, job: &Job) -> Result<Vec<Scored>> {
         let name = &job.scenario.name;
         let path = self.run.folder.log(name);
         if path.exists() {
@@ -226,7 +233,7 @@ impl Worker<'_> {
                         "{} is of another scenario of the same name: remove it, or name another folder with --out",
                         path.display()
                     );
-                    return Scored::new(episode, path, self.run.folder.images(name), None);
+                    return Scored::egos(episode, &path, &self.run.folder.images(name), None);
                 }
                 // Kept under another name, and driven again.
                 Err(error @ AssetError::Decode { .. }) => {
@@ -241,16 +248,54 @@ impl Worker<'_> {
                 Err(error) => return Err(error.into()),
             }
         }
-        let driven = self.drive(job)?;
+        let driven = match has_several(&job.scenario) {
+            true => self.drive_egos(job)?,
+            false => self.drive(job)?,
+        };
+        let images = self.run.folder.images(name);
         if self.run.arguments.video {
-            self.videos(&driven.episode, job)?;
+            for ego in driven.episode.egos() {
+                let folder = match driven.episode.others.as_slice() {
+                    [] => images.clone(),
+                    _ => images.join(&ego.head.scenario.egos.own.name),
+                };
+                self.videos(ego, &folder, job)?;
+            }
         }
-        Scored::new(
-            driven.episode,
-            path,
-            self.run.folder.images(name),
-            Some(driven.times),
-        )
+        Scored::egos(driven.episode, &path, &images, Some(&driven.times))
+    }
+
+    /// Drives an episode of several egos.
+    fn drive_egos(&mut self, job: &Job) -> Result<Driven> {
+        let run = self.run;
+        let ready = run.sites.get(&job.scenario.place, &job.directory)?;
+        if self.agents.is_none() {
+            self.agents = run.arguments.agents()?;
+        }
+        let agents = self.agents.as_deref_mut();
+        let agents = agents.map(|agents| agents as &mut dyn AgentDriver);
+        let name = &job.scenario.name;
+        let scene = self.position.map(|position| {
+            let scene = run.sites.scene(&ready, position)?;
+            anyhow::Ok((&run.sites.sessions()[position], scene))
+        });
+        let every = run.arguments.render.0;
+        let renderer = scene.transpose()?.map(|(session, scene)| {
+            move |rigs| EgosRenderer::new(session.batch_renderer(), &scene, rigs, every)
+        });
+        let drive = EgosDrive {
+            arguments: run.arguments,
+            site: &ready.site,
+            log: run.folder.log(name),
+            images: run.folder.images(name),
+        };
+        run.devices.begin();
+        let since = Instant::now();
+        let driven = drive.drive(&job.scenario, &mut self.pool, agents, renderer)?;
+        if let Some(position) = self.position {
+            run.devices.drove(position, name, since.elapsed())?;
+        }
+        Ok(driven)
     }
 
     fn drive(&mut self, job: &Job) -> Result<Driven> {
@@ -331,9 +376,9 @@ impl Worker<'_> {
         images.image_error.map_or(Ok(driven), Err)
     }
 
-    fn videos(&self, episode: &Episode, job: &Job) -> Result<()> {
+    /// Films of the cameras of an ego, whose images are in `folder`.
+    fn videos(&self, episode: &Episode, folder: &Path, job: &Job) -> Result<()> {
         let arguments = &self.run.arguments;
-        let folder = self.run.folder.images(&episode.head.scenario.name);
         let per_second = 1.0 / (f64::from(arguments.render.0) * episode.head.scenario.step_s);
         let cameras = &episode.head.planner.cameras;
         let encode = |frames: &Path, camera: &str| {
@@ -341,16 +386,14 @@ impl Worker<'_> {
             video::encode(frames, camera, per_second, &video)
         };
         let Some(position) = self.position.filter(|_| arguments.overlays) else {
-            return cameras
-                .iter()
-                .try_for_each(|camera| encode(&folder, camera));
+            return cameras.iter().try_for_each(|camera| encode(folder, camera));
         };
         let ready = self.run.sites.get(&job.scenario.place, &job.directory)?;
         let scene = self.run.sites.scene(&ready, position)?;
         let overlays = Overlays::new(episode, &ready.site, &scene)?;
         for camera in cameras {
             let frames = UnfinishedFolder::begin(&folder.join(format!("{camera}.overlays")))?;
-            overlays.draw_all(&folder, camera, frames.path())?;
+            overlays.draw_all(folder, camera, frames.path())?;
             encode(frames.path(), camera)?;
         }
         Ok(())

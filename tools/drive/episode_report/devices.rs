@@ -60,7 +60,7 @@ impl DeviceUse {
         let row = |device: Value| {
             let mut sums = Sums::default();
             for scored in scored {
-                if by_episode.get(scored.name()).copied() == Some(&device) {
+                if by_episode.get(scored.scenario_name()).copied() == Some(&device) {
                     sums.add(scored);
                 }
             }

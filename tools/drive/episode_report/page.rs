@@ -207,8 +207,11 @@ fn card(page: &mut Page, scored: &Scored, lanes: &[Lane]) -> Result<()> {
         time_s.map_or(0.0, |point| point.time_s),
         score.comfort.braking_max_mps2,
         score.comfort.lateral_acceleration_max_mps2,
-        link(&format!("logs/{}.log", scored.name()), "log"),
-        link(&format!("scenarios/{}.toml", scored.name()), "scenario"),
+        link(&format!("logs/{}.log", scored.scenario_name()), "log"),
+        link(
+            &format!("scenarios/{}.toml", scored.scenario_name()),
+            "scenario"
+        ),
     ));
     page.html(&format!("<p>{}</p>", view_command(scored, None)));
     for warning in scored.seen.warnings() {

@@ -1,8 +1,8 @@
 //! An episode that was scored, without its steps.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use decouplegs::drive::score::{
     CommandedAgents, Conduct, EpisodeScore, ExtendedPdmScore, Infraction, InfractionKind, PdmScore,
 };
@@ -21,6 +21,10 @@ use crate::seen::Seen;
 /// show it.
 pub struct Scored {
     pub head: EpisodeHead,
+    /// Number of the ego among those of the log, from 0.
+    ego: usize,
+    /// Name of the scenario, followed by that of the ego where there are several.
+    name: String,
     pub end: EpisodeEnd,
     /// Positions of the ego over time, the start included.
     pub way: Vec<WayPoint>,
@@ -69,12 +73,41 @@ impl Taken {
 }
 
 impl Scored {
-    pub fn new(
+    /// Each ego of `episode`. Images of several egos are in folders of their names, in `images`.
+    pub fn egos(
+        mut episode: Episode,
+        log: &Path,
+        images: &Path,
+        times: Option<&Vec<StepTime>>,
+    ) -> Result<Vec<Self>> {
+        let others = std::mem::take(&mut episode.others);
+        let several = !others.is_empty();
+        let egos = std::iter::once(episode).chain(others).enumerate();
+        egos.map(|(ego, episode)| {
+            let own = &episode.head.scenario.egos.own.name;
+            let images = match several {
+                true => images.join(own),
+                false => images.to_owned(),
+            };
+            // Times of steps are those of all egos together.
+            let times = times.filter(|_| ego == 0).cloned();
+            let scored = Self::new(episode, log.to_owned(), images, times)?;
+            Ok(Self { ego, ..scored })
+        })
+        .collect()
+    }
+
+    fn new(
         episode: Episode,
         log: PathBuf,
         images: PathBuf,
         times: Option<Vec<StepTime>>,
     ) -> Result<Self> {
+        let scenario = &episode.head.scenario;
+        let name = match scenario.egos.others.as_slice() {
+            [] => scenario.name.clone(),
+            _ => format!("{}/{}", scenario.name, scenario.egos.own.name),
+        };
         let score = EpisodeScore::new(&episode);
         let way_point = |instant: &EpisodeTick| WayPoint {
             time_s: instant.time_s,
@@ -95,6 +128,8 @@ impl Scored {
             way: episode.instants().map(way_point).collect(),
             taken: Taken::by(&episode),
             head: episode.head,
+            ego: 0,
+            name,
             end: episode.end,
             log,
             images,
@@ -107,10 +142,25 @@ impl Scored {
     /// # Errors
     /// Returns an error if the log cannot be read any more.
     pub fn whole(&self) -> Result<Episode> {
-        Ok(read_episode_log(&self.log)?)
+        let mut episode = read_episode_log(&self.log)?;
+        ensure!(
+            self.ego <= episode.others.len(),
+            "{} is another log than it was: drive the episode again",
+            self.log.display()
+        );
+        Ok(match self.ego {
+            0 => episode,
+            ego => episode.others.swap_remove(ego - 1),
+        })
     }
 
+    /// Name of the episode, followed by that of the ego where there are several.
     pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Name of the episode, which its files have.
+    pub fn scenario_name(&self) -> &str {
         &self.head.scenario.name
     }
 

@@ -2,6 +2,8 @@
 
 #[path = "program/agents.rs"]
 mod agents;
+#[path = "program/egos.rs"]
+mod egos;
 #[path = "program/tracks.rs"]
 mod tracks;
 

@@ -151,6 +151,7 @@ impl Rollout {
             let horizon_s = CONTROL_HORIZON_S.max(2.0 * rollout.simulation().scenario().step_s);
             rollout
                 .simulation()
+                .view(0)
                 .ego()
                 .plan_under(steer_rad, acceleration_mps2, horizon_s)
                 .map_err(value_error)?
@@ -195,7 +196,7 @@ impl Rollout {
     /// Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4].
     #[getter]
     fn ego_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let motion = self.lock().simulation().motion();
+        let motion = self.lock().simulation().view(0).motion();
         shaped(
             py,
             vec![
@@ -240,7 +241,7 @@ impl Rollout {
     /// length_m, cruise_mps.
     #[getter]
     fn guidance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let guidance = self.lock().simulation().guidance();
+        let guidance = self.lock().simulation().view(0).guidance();
         let dict = PyDict::new(py);
         dict.set_item("turn", guidance.turn.name())?;
         dict.set_item("distance_m", guidance.distance_m)?;
@@ -266,7 +267,7 @@ impl Rollout {
         let rollout = self.lock();
         let (ego, route) = (
             rollout.simulation().instant().ego,
-            rollout.simulation().route(),
+            rollout.simulation().view(0).route(),
         );
         let (progress_m, length_m) = rollout.progress_m();
         let place = |number: usize| {

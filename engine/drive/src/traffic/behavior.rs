@@ -8,6 +8,7 @@ use super::agent::{Agent, Aside, AsideKind, Phase, SwerveShape, swerve_bend_m};
 use super::following::ASIDE_MPS2;
 use super::idm::BRAKING_MPS2;
 use super::lane_order::Entry;
+use super::outsider::nearest_ego;
 use super::watch::Watch;
 use crate::oriented_box::OrientedBox;
 
@@ -75,13 +76,15 @@ impl Traffic {
         match trigger {
             Trigger::Time { time_s } => self.time_s >= time_s,
             Trigger::NearEgo { distance_m } => {
-                let ego = self.outsiders.ego.as_ref();
-                ego.zip(self.states[number]).is_some_and(|(ego, state)| {
-                    ego.position_m.distance(state.position_m) <= distance_m
-                })
+                let at_m = self.states[number].map(|state| state.position_m);
+                let ego = at_m.and_then(|at_m| self.outsiders.nearest_ego(at_m));
+                ego.zip(at_m)
+                    .is_some_and(|(ego, at_m)| ego.position_m.distance(at_m) <= distance_m)
             }
-            Trigger::Measured(measured) => self.states[number]
-                .is_some_and(|own| watch.is_due(&measured, self.time_s, &own, self.ego.as_ref())),
+            Trigger::Measured(measured) => self.states[number].is_some_and(|own| {
+                let ego = nearest_ego(&self.egos, own.position_m);
+                watch.is_due(&measured, self.time_s, &own, ego)
+            }),
             Trigger::After(after) => {
                 let holds = self.has_come(number, &after);
                 watch.is_past(holds, (after.from_s, after.delay_s), self.time_s)

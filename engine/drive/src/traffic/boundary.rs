@@ -106,11 +106,8 @@ impl Traffic {
     /// True if a vehicle can stand where it is about to enter.
     fn has_room(&self, agent: &Agent) -> bool {
         let at_m = agent.state(&self.graph).position_m;
-        let ego_is_far = self
-            .outsiders
-            .ego
-            .as_ref()
-            .is_none_or(|ego| ego.position_m.distance(at_m) > EGO_M);
+        let mut egos = self.outsiders.egos.iter();
+        let egos_are_far = egos.all(|ego| ego.position_m.distance(at_m) > EGO_M);
         let free = |cell| {
             !self.claims.conflict(&self.graph, cell, agent.number)
                 && !self.claims.ego_on(cell)
@@ -118,7 +115,7 @@ impl Traffic {
         };
         let mut on_lane = self.order.on(agent.lane()).iter();
         let mut swerves = self.claims.blocks.iter();
-        ego_is_far
+        egos_are_far
             && on_lane.all(|entry| entry.rear_m - agent.front_m() > ROOM_M)
             && swerves
                 .all(|block| block.lane != agent.lane() || block.from_m - agent.front_m() > ROOM_M)

@@ -52,7 +52,7 @@ pub(super) struct Claims {
     owners: Vec<Owners>,
     /// Owners that stand, by cell.
     standing: Vec<Owners>,
-    /// True if the ego, or a pedestrian, is or will be there, as far as known.
+    /// True if an ego, or a pedestrian, is or will be there, as far as known.
     ego: Vec<bool>,
     pedestrians: Vec<bool>,
     /// True if a vehicle that has waited long has the next claim.
@@ -90,7 +90,7 @@ impl Claims {
         for agent in agents.iter().filter(|agent| agent.is_here()) {
             self.claim(graph, agent);
         }
-        for &cell in outsiders.ego.iter().flat_map(|ego| &ego.cells) {
+        for &cell in outsiders.egos.iter().flat_map(|ego| &ego.cells) {
             self.ego[cell as usize] = true;
             self.known.push(cell);
         }
@@ -231,7 +231,7 @@ impl Claims {
         self.known.push(cell as u32);
     }
 
-    /// True if the ego is or will be on a cell.
+    /// True if an ego is or will be on a cell.
     pub(super) fn ego_on(&self, cell: usize) -> bool {
         self.ego[cell]
     }

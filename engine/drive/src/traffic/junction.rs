@@ -18,6 +18,7 @@ use super::claims::each_cell;
 use super::following::{PathPosition, each_ahead};
 use super::idm::stopping_m;
 use super::lane_order::Entry;
+use super::outsider::Outsider;
 use crate::road_graph::{Conflict, length_of};
 
 /// Waiting time after which a vehicle no longer gives way, seconds.
@@ -380,7 +381,7 @@ impl Traffic {
         })
     }
 
-    /// True if a pedestrian, or the ego other than behind the agent, is in a crossing or approaches
+    /// True if a pedestrian, or an ego other than behind the agent, is in a crossing or approaches
     /// it.
     fn outsider_crosses(&self, agent: &Agent, crossing: &Crossing) -> bool {
         let follows = |entry: &Entry| {
@@ -389,11 +390,13 @@ impl Traffic {
                 .position(|&lane| lane == entry.lane as usize);
             lane.is_some_and(|lane| lane < agent.here || entry.middle_m < agent.arc_m)
         };
-        let ego = self.outsiders.ego.as_ref();
-        let minds_ego = ego.is_some_and(|ego| !ego.entries.iter().any(follows));
-        let free =
-            |cell| !(minds_ego && self.claims.ego_on(cell) || self.claims.pedestrian_on(cell));
-        (minds_ego || !self.outsiders.pedestrians.is_empty())
+        let egos = self.outsiders.egos.iter();
+        let minded: Vec<&Outsider> = egos
+            .filter(|ego| !ego.entries.iter().any(follows))
+            .collect();
+        let ego_on = |cell: usize| minded.iter().any(|ego| ego.will_be_on(cell));
+        let free = |cell| !(ego_on(cell) || self.claims.pedestrian_on(cell));
+        (!minded.is_empty() || !self.outsiders.pedestrians.is_empty())
             && !each_cell(
                 &self.graph,
                 agent,

@@ -8,7 +8,7 @@ use super::Traffic;
 use super::agent::{Agent, Aside, AsideKind, LeavingRoom};
 use super::following::{GAP_M, PathPosition, Seen, behind, each_ahead};
 use super::idm::{IdmParameters, Leader, stopping_m};
-use super::lane_order::EGO;
+use super::lane_order::is_ego;
 use super::mobil::{Change, Concerned, Side};
 use crate::polyline::wrapped;
 use crate::road_graph::length_of;
@@ -97,11 +97,12 @@ impl Traffic {
         }
     }
 
-    /// Changes into the lane beside that the ego is on, whatever the gap to it. `None` where it is
-    /// on none of them, else whether the change began.
+    /// Changes into the lane beside that the nearest ego is on, whatever the gap to it. `None`
+    /// where it is on none of them, else whether the change began.
     pub(super) fn cut_in(&mut self, number: usize) -> Option<bool> {
         let agent = &self.agents[number];
-        let ego = self.outsiders.ego.as_ref()?;
+        let at_m = agent.state(&self.graph).position_m;
+        let ego = self.outsiders.nearest_ego(at_m)?;
         let road = self.graph.road(agent.lane());
         let on_it = |lane: usize| {
             // The ego may still be on the lane before, or already on the next.
@@ -134,11 +135,11 @@ impl Traffic {
         Some(target.is_some())
     }
 
-    /// True if the ego is ahead on the new lane, but not by a gap: an agent would stop beside it.
+    /// True if an ego is ahead on the new lane, but not by a gap: an agent would stop beside it.
     fn ego_leads(&self, agent: &Agent, target: &Target) -> bool {
         let mut entries = self.order.on(target.lane).iter();
         entries.any(|entry| {
-            entry.agent == EGO
+            is_ego(entry.agent)
                 && entry.middle_m > target.arc_m
                 && entry.rear_m < target.arc_m + agent.half_m + GAP_M
         })
@@ -290,7 +291,7 @@ impl Traffic {
         {
             return false;
         }
-        let counts = |number: u32| mind_ego || number != EGO;
+        let counts = |number: u32| mind_ego || !is_ego(number);
         let mut safe = self.comes_out(agent, target);
         self.each_before(agent, target, |seen| {
             let room = seen.rear_m - front_m >= GAP_M
@@ -354,8 +355,9 @@ impl Traffic {
         if let Some(other) = self.agents.get(seen.agent as usize) {
             return other.aside.is_none();
         }
-        let ego = self.outsiders.ego.as_ref();
-        ego.filter(|_| seen.agent == EGO).is_some_and(|ego| {
+        let mut egos = self.outsiders.egos.iter();
+        let ego = egos.find(|ego| ego.entries.iter().any(|entry| entry.agent == seen.agent));
+        ego.is_some_and(|ego| {
             let line = &self.graph.road(lane).line;
             let mut corners = ego.outline.corners().into_iter();
             let within_m = 0.5 * self.graph.vehicle().width_m + KEEPS_LANE_M;

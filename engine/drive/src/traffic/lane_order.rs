@@ -1,14 +1,16 @@
 //! Vehicles on each lane, sorted along it.
 
+use decouplegs_scene::Egos;
+
 use super::agent::Agent;
 use super::idm::stopping_m;
 use super::outsider::Outsiders;
 use crate::road_graph::{RoadGraph, length_of};
 
-/// Agent number of the ego.
-pub(super) const EGO: u32 = u32::MAX;
+/// Agent number of the first ego; those of others are below it.
+const EGO: u32 = u32::MAX;
 /// Agent number of pedestrians.
-pub(super) const PEDESTRIAN: u32 = u32::MAX - 1;
+pub(super) const PEDESTRIAN: u32 = EGO - Egos::MAX as u32;
 /// Lane number of an entry whose next lane is not known, or whose vehicle is on this lane only in
 /// part.
 pub(super) const NO_LANE: u32 = u32::MAX;
@@ -39,6 +41,16 @@ impl Entry {
     pub(super) fn is_vehicle(&self) -> bool {
         self.agent < PEDESTRIAN
     }
+}
+
+/// Agent number of ego `ego`, from 0.
+pub(super) const fn ego_number(ego: usize) -> u32 {
+    EGO - ego as u32
+}
+
+/// True if it is the number of an ego.
+pub(super) const fn is_ego(agent: u32) -> bool {
+    agent > PEDESTRIAN
 }
 
 /// Entries of all lanes.

@@ -3,8 +3,8 @@
 use decouplegs_scene::episode::HandoverRecord;
 use decouplegs_scene::{VehicleSize, VehicleState};
 
-use super::Traffic;
 use super::tracked::Followers;
+use super::{EgoBox, Traffic};
 use crate::story::Stage;
 
 /// Road users on no track, each at its own place of the list; `None` while one is not there.
@@ -27,17 +27,22 @@ impl Traffic {
 
     /// Road users as recorded vehicles see them at the beginning of a step; empty if no vehicle
     /// is on a track.
-    pub(super) fn seen_from_tracks(&self, ego: Option<(&VehicleState, &VehicleSize)>) -> Others {
+    pub(super) fn seen_from_tracks(&self, egos: &[EgoBox]) -> Others {
         if self.tracked.is_none() {
             return Vec::new();
         }
-        let ego = std::iter::once(ego.map(|(state, size)| (*state, *size)));
+        let (first, others) = egos.split_at(egos.len().min(1));
         let agents = self.agents.iter().map(|agent| agent.size);
         let walkers = self.pedestrians.iter().map(|walker| walker.size());
         let on_ways = self.states.iter().zip(agents.chain(walkers));
         let on_ways = on_ways.map(|(state, size)| Some(((*state)?, size)));
         let actors = self.stage.iter().flat_map(Stage::all);
-        ego.chain(on_ways).chain(actors).collect()
+        let first = first.iter().copied();
+        first
+            .chain(on_ways)
+            .chain(actors)
+            .chain(others.iter().copied())
+            .collect()
     }
 
     /// Advances those on tracks by `dt_s` seconds.

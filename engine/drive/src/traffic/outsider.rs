@@ -1,11 +1,11 @@
-//! Road users that no lane guides, as vehicles see them: the ego and pedestrians, with the lanes
+//! Road users that no lane guides, as vehicles see them: egos and pedestrians, with the lanes
 //! they are on and the cells they take up.
 
 use decouplegs_scene::{VehicleSize, VehicleState};
 use glam::DVec2;
 
 use super::idm::stopping_m;
-use super::lane_order::{EGO, Entry, NO_LANE, PEDESTRIAN};
+use super::lane_order::{Entry, NO_LANE, PEDESTRIAN, ego_number};
 use crate::oriented_box::OrientedBox;
 use crate::road_graph::RoadGraph;
 
@@ -27,24 +27,40 @@ pub(super) struct Outsider {
     pub cells: Vec<u32>,
 }
 
-/// Ego and pedestrians of a step.
+/// Egos and pedestrians of a step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Outsiders {
-    pub ego: Option<Outsider>,
+    pub egos: Vec<Outsider>,
     /// Pedestrians on the road, or about to step on it, and actors of a story.
     pub pedestrians: Vec<Outsider>,
 }
 
 impl Outsiders {
+    /// Ego that is nearest to a point.
+    pub(super) fn nearest_ego(&self, at_m: DVec2) -> Option<&Outsider> {
+        let apart_m = |ego: &&Outsider| ego.position_m.distance_squared(at_m);
+        let egos = self.egos.iter();
+        egos.min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)))
+    }
+
     pub(super) fn all(&self) -> impl Iterator<Item = &Outsider> {
-        self.ego.iter().chain(&self.pedestrians)
+        self.egos.iter().chain(&self.pedestrians)
     }
 }
 
 impl Outsider {
-    /// The ego; `None` where its numbers are not finite.
-    pub(super) fn ego(graph: &RoadGraph, state: &VehicleState, size: &VehicleSize) -> Option<Self> {
-        Self::vehicle(graph, state, size, EGO)
+    /// Ego number `ego`, from 0; `None` where its numbers are not finite.
+    pub(super) fn ego(
+        graph: &RoadGraph,
+        ego: usize,
+        (state, size): &(VehicleState, VehicleSize),
+    ) -> Option<Self> {
+        Self::vehicle(graph, state, size, ego_number(ego))
+    }
+
+    /// True if it is on a cell, or will soon be.
+    pub(super) fn will_be_on(&self, cell: usize) -> bool {
+        self.cells.binary_search(&(cell as u32)).is_ok()
     }
 
     /// An actor of a story, which follows its script; `None` off the road.
@@ -103,7 +119,14 @@ impl Outsider {
     }
 }
 
-/// Position of a box on each lane of `cells`. `agent` is [`EGO`] or [`PEDESTRIAN`].
+/// The nearest of `egos` to a point.
+pub(super) fn nearest_ego(egos: &[VehicleState], at_m: DVec2) -> Option<&VehicleState> {
+    let apart_m = |ego: &&VehicleState| ego.position_m.distance_squared(at_m);
+    let egos = egos.iter();
+    egos.min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)))
+}
+
+/// Position of a box on each lane of `cells`. `agent` is that of an ego or [`PEDESTRIAN`].
 fn entries(
     graph: &RoadGraph,
     outline: &OrientedBox,

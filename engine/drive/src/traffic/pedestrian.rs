@@ -8,7 +8,7 @@
 use decouplegs_scene::scenario::Trigger;
 use decouplegs_scene::{Pedestrian, VehicleSize, VehicleState};
 
-use super::outsider::Outsider;
+use super::outsider::{Outsider, nearest_ego};
 use super::watch::Watch;
 use crate::oriented_box::OrientedBox;
 use crate::polyline::{Polyline, wrapped};
@@ -158,14 +158,15 @@ impl Walker {
         Outsider::pedestrian(graph, &self.outline_at(self.arc_m).extended(walks_m))
     }
 
-    /// Speed after a step among `vehicles`, m/s. `ego` is the ego.
+    /// Speed after a step among `vehicles`, m/s. The nearest of `egos` starts the walk.
     pub(super) fn decide(
         &mut self,
         (time_s, dt_s): (f64, f64),
-        ego: Option<&VehicleState>,
+        egos: &[VehicleState],
         vehicles: &[Vehicle],
     ) -> f64 {
         let at_m = self.line.at(self.arc_m).truncate();
+        let ego = nearest_ego(egos, at_m);
         self.has_started |= match self.start {
             Trigger::Time { time_s: start_s } => time_s >= start_s,
             Trigger::NearEgo { distance_m } => {

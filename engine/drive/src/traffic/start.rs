@@ -108,7 +108,7 @@ impl Traffic {
             waiting: Vec::new(),
             accelerations: Vec::new(),
             outsiders: Outsiders::default(),
-            ego: None,
+            egos: Vec::new(),
             pedestrians: Vec::new(),
             stage: None,
             tracked: None,

@@ -8,11 +8,11 @@ use decouplegs_scene::episode::AgentCommand;
 use decouplegs_scene::{Invalid, LightColor, VehicleSize, VehicleState};
 use glam::DVec2;
 
-use super::Traffic;
 use super::body::Body;
 use super::idm::{IdmParameters, Leader};
 use super::tracked::Followers;
 use super::way_ahead::{AgentLeader, SeenUser, WayAhead};
+use super::{EgoBox, Traffic};
 use crate::polyline::wrapped;
 use crate::road_graph::{length_of, position_on};
 use crate::story::Stage;
@@ -125,8 +125,9 @@ impl Traffic {
     }
 
     /// All road users as others see them.
-    fn seen_users(&self, ego: Option<(&VehicleState, &VehicleSize)>) -> Vec<SeenUser> {
-        let ego = ego.map(|(state, size)| (None, *state, *size));
+    fn seen_users(&self, egos: &[EgoBox]) -> Vec<SeenUser> {
+        let egos = egos.iter().flatten();
+        let egos = egos.map(|(state, size)| (None, *state, *size));
         let agents = self.agents.iter().map(|agent| agent.size);
         let walkers = self.pedestrians.iter().map(|walker| walker.size());
         let on_ways = self.states.iter().copied().zip(agents.chain(walkers));
@@ -135,14 +136,14 @@ impl Traffic {
         let tracked = self.tracked.iter().flat_map(Followers::all);
         let all = on_ways.chain(actors).chain(tracked).enumerate();
         let there = all.filter_map(|(at, user)| user.map(|(state, size)| (Some(at), state, size)));
-        ego.into_iter().chain(there).collect()
+        egos.chain(there).collect()
     }
 
     /// Vehicles that take commands now, in ascending order: those on lanes and those on recorded
     /// tracks. Pedestrians and actors of a story take none.
     #[must_use]
-    pub fn steerable(&self, ego: Option<(&VehicleState, &VehicleSize)>) -> Vec<SteerableAgent> {
-        let others = self.seen_users(ego);
+    pub fn steerable(&self, egos: &[EgoBox]) -> Vec<SteerableAgent> {
+        let others = self.seen_users(egos);
         let on_lanes = self.agents.iter().zip(&self.states).enumerate();
         let on_lanes = on_lanes.filter_map(|(number, (agent, state))| {
             let state = (*state)?;
@@ -295,10 +296,7 @@ impl Traffic {
     }
 
     /// Accelerations of agents on lanes that take commands but have none now, by the model.
-    pub(super) fn decide_bodies(
-        &self,
-        ego: Option<(&VehicleState, &VehicleSize)>,
-    ) -> Vec<(usize, f64)> {
+    pub(super) fn decide_bodies(&self, egos: &[EgoBox]) -> Vec<(usize, f64)> {
         let free = self.bodies.iter().enumerate();
         let free: Vec<(usize, &Steered)> = free
             .filter_map(|(number, steered)| Some((number, steered.as_ref()?)))
@@ -307,7 +305,7 @@ impl Traffic {
         if free.is_empty() {
             return Vec::new();
         }
-        let others = self.seen_users(ego);
+        let others = self.seen_users(egos);
         let decided = free.into_iter().map(|(number, steered)| {
             let agent = &self.agents[number];
             let state = &steered.body.state;

@@ -3,8 +3,8 @@
 use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, LOG_VERSION, PlannerRecord, RoadRecord};
 use decouplegs_scene::scenario::{DriverKind, Drivers, EgoTask, Place, TrafficAgent};
 use decouplegs_scene::{
-    Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, RoadUser, Scenario, VehicleSize,
-    VehicleState, Weather,
+    Egos, Episode, EpisodeEnd, EpisodeStep, Level, Plan, PlanPoint, RoadUser, Scenario,
+    VehicleSize, VehicleState, Weather,
 };
 use glam::DVec2;
 
@@ -99,6 +99,7 @@ fn scenario(agents: usize) -> Scenario {
             seed: 0,
         },
         ego,
+        egos: Egos::default(),
         agents: (0..agents).map(agent).collect(),
         lights: vec![],
         pedestrians: vec![],
@@ -154,5 +155,6 @@ pub(crate) fn episode(steps: usize, ego: &Motion, agents: &[Motion], end: Episod
         start: instant(0.0),
         steps: (0..steps).map(step).collect(),
         end,
+        others: Vec::new(),
     }
 }

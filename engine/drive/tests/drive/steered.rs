@@ -47,7 +47,7 @@ fn state_of(traffic: &Traffic, agent: usize) -> VehicleState {
 }
 
 fn told(traffic: &Traffic, agent: usize) -> SteerableAgent {
-    let all = traffic.steerable(None);
+    let all = traffic.steerable(&[]);
     all.into_iter().find(|one| one.agent == agent).unwrap()
 }
 
@@ -57,7 +57,7 @@ fn traffic_without_commands_is_the_same_to_the_last_bit() {
     for _ in 0..300 {
         asked.steer(&[]).unwrap();
         let there = asked.states().iter().flatten().count();
-        assert_eq!(asked.steerable(None).len(), there);
+        assert_eq!(asked.steerable(&[]).len(), there);
         for traffic in [&mut plain, &mut asked] {
             traffic.step(STEP_S, None);
         }

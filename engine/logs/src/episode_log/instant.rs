@@ -32,6 +32,9 @@ type InstantForm4 = (
     Vec<Option<StateForm>>,
 );
 
+/// Instant of an ego beside the first, whose agents another line tells.
+type OwnInstantForm = (f64, StateForm, f64, bool, LanesForm, RoadForm);
+
 /// First version of logs with lanes.
 pub(super) const LANES_VERSION: u32 = 3;
 
@@ -42,15 +45,26 @@ pub(super) enum InstantForm {
     OnRoad(InstantForm4),
     WithLanes(InstantForm3),
     Bare(InstantForm1),
+    Own(OwnInstantForm),
 }
 
 impl InstantForm {
     /// True if logs of `version` have instants of this form.
     pub(super) fn is_of(&self, version: u32) -> bool {
         match self {
-            Self::OnRoad(_) => version >= ROAD_VERSION,
+            Self::OnRoad(_) | Self::Own(_) => version >= ROAD_VERSION,
             Self::WithLanes(_) => (LANES_VERSION..ROAD_VERSION).contains(&version),
             Self::Bare(_) => version < LANES_VERSION,
+        }
+    }
+
+    /// The form without agents.
+    pub(super) fn without_agents(self) -> Self {
+        match self {
+            Self::OnRoad((time_s, ego, steer_rad, on_road, lanes, road, _)) => {
+                Self::Own((time_s, ego, steer_rad, on_road, lanes, road))
+            }
+            other => other,
         }
     }
 }
@@ -133,6 +147,15 @@ pub(super) fn instant(form: InstantForm) -> EpisodeTick {
         InstantForm::OnRoad((time_s, ego, steer_rad, on_road, lanes, road, agents)) => {
             (time_s, ego, steer_rad, on_road, lanes, Some(road), agents)
         }
+        InstantForm::Own((time_s, ego, steer_rad, on_road, lanes, road)) => (
+            time_s,
+            ego,
+            steer_rad,
+            on_road,
+            lanes,
+            Some(road),
+            Vec::new(),
+        ),
         InstantForm::WithLanes((time_s, ego, steer_rad, on_road, lanes, agents)) => {
             (time_s, ego, steer_rad, on_road, lanes, None, agents)
         }

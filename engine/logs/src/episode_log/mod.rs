@@ -4,6 +4,7 @@
 //! The format is documented in `engine/asset/episode-log.md`.
 
 mod chain;
+mod egos;
 mod instant;
 mod read;
 mod record;

@@ -1,11 +1,13 @@
 //! Reads an episode from the bytes of its log.
 
 use decouplegs_scene::episode::EpisodeTick;
-use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead, EpisodeStep};
+use decouplegs_scene::{Episode, EpisodeEnd, EpisodeHead};
 
 use super::chain::Chain;
+use super::egos::{OtherEndForm, OtherHeadForm, Told};
 use super::record::{EndForm, FormatForm, HeadForm, Record, StepForm, to_json};
 use super::sequence::Sequence;
+use super::write::encode;
 use super::{FORMAT, VERSION};
 use decouplegs_asset::DecodeError;
 
@@ -20,32 +22,140 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Episode, DecodeError> {
             "is empty; an episode log has at least two lines".into(),
         ));
     };
-    let (head, start, mut sequence) = first
+    let (head, start, sequence) = first
         .and_then(|line| head(&mut chain, line))
         .map_err(|reason| at(1, reason))?;
-    let mut episode = Episode {
-        head,
-        start,
-        steps: Vec::new(),
-        end: EpisodeEnd::Time,
-    };
-    let mut end: Option<EpisodeEnd> = None;
+    let mut decoder = Decoder::new(chain, head, start, sequence);
     while let Some(line) = lines.next() {
-        let number = lines.line;
-        if end.is_some() {
-            return Err(at(number, "follows the end of the episode".into()));
-        }
-        match line
-            .and_then(|line| record(&mut chain, line, &mut sequence))
-            .map_err(|reason| at(number, reason))?
-        {
-            Decoded::Step(step) => episode.push(step),
-            Decoded::End(found) => end = Some(found),
+        let read = line.and_then(|line| decoder.line(line));
+        read.map_err(|reason| at(lines.line, reason))?;
+    }
+    let episode = decoder.into_episode(lines.line + 1)?;
+    check_several(&episode, bytes)?;
+    Ok(episode)
+}
+
+/// Several egos have one order of lines.
+fn check_several(episode: &Episode, bytes: &[u8]) -> Result<(), DecodeError> {
+    let is_same = || encode(episode).is_ok_and(|written| written == bytes);
+    if episode.others.is_empty() || is_same() {
+        return Ok(());
+    }
+    let reason = "the lines of the egos are not in the order in which this program writes them";
+    Err(DecodeError::Malformed(reason.into()))
+}
+
+/// Episode of which some lines have been read.
+struct Decoder {
+    chain: Chain,
+    egos: usize,
+    episode: Episode,
+    /// One for each ego whose head has been read.
+    sequences: Vec<Sequence>,
+    ends: Vec<Option<EpisodeEnd>>,
+    told: Told,
+}
+
+impl Decoder {
+    fn new(chain: Chain, head: EpisodeHead, start: EpisodeTick, sequence: Sequence) -> Self {
+        let egos = head.scenario.egos.count();
+        Self {
+            chain,
+            egos,
+            told: Told::from_start(egos, &start),
+            episode: Episode {
+                head,
+                start,
+                steps: Vec::new(),
+                end: EpisodeEnd::Time,
+                others: Vec::new(),
+            },
+            sequences: vec![sequence],
+            ends: vec![None; egos],
         }
     }
-    let missing = "is missing: the log ends without telling how the episode ended; it was cut short, drive the episode again";
-    episode.end = end.ok_or_else(|| at(lines.line + 1, missing.into()))?;
-    Ok(episode)
+
+    /// Reads a line after the first.
+    fn line(&mut self, line: &[u8]) -> Result<(), String> {
+        if self.ends.iter().all(Option::is_some) {
+            return Err("follows the end of the episode".into());
+        }
+        let payload = self.chain.open(line)?;
+        if self.sequences.len() < self.egos {
+            return self.other_head(payload);
+        }
+        match Record::parse(payload)? {
+            Record::Step(form) => self.step(payload, form),
+            Record::End(ego, form) => self.end(payload, ego, form),
+        }
+    }
+
+    fn other_head(&mut self, payload: &str) -> Result<(), String> {
+        let ego = self.sequences.len();
+        let form: OtherHeadForm = serde_json::from_str(payload)
+            .map_err(|error| format!("is no head of ego {ego}: {error}"))?;
+        check_canonical(payload, &to_json(&form))?;
+        let (head, start) = self.told.head(&self.episode.head, ego, form)?;
+        self.sequences.push(Sequence::new(&head, &start)?);
+        self.episode.others.push(Episode {
+            head,
+            start,
+            steps: Vec::new(),
+            end: EpisodeEnd::Time,
+            others: Vec::new(),
+        });
+        Ok(())
+    }
+
+    /// Checks that ego `ego` is there and has not ended.
+    fn check_drives(&self, ego: usize) -> Result<(), String> {
+        match self.ends.get(ego) {
+            Some(None) => Ok(()),
+            Some(Some(_)) => Err(format!("follows the end of ego {ego}")),
+            None => Err(format!("tells of ego {ego} of {}", self.egos)),
+        }
+    }
+
+    fn step(&mut self, payload: &str, form: StepForm) -> Result<(), String> {
+        let ego = form.ego;
+        self.check_drives(ego)?;
+        let mut step = form.into_step()?;
+        let version = self.sequences[ego].version();
+        let written = match self.egos {
+            1 => StepForm::from_step(&step, version),
+            _ => {
+                self.told.complete_step(ego, &mut step)?;
+                self.told.step_form(ego, &step, version)?
+            }
+        };
+        check_canonical(payload, &to_json(&written))?;
+        self.sequences[ego].step(&step)?;
+        self.episode.ego_mut(ego).push(step);
+        Ok(())
+    }
+
+    fn end(&mut self, payload: &str, ego: usize, form: EndForm) -> Result<(), String> {
+        self.check_drives(ego)?;
+        let end = form.into_end()?;
+        let written = match ego {
+            0 => to_json(&EndForm::from_end(&end)),
+            _ => to_json(&OtherEndForm::from_end(ego, &end)),
+        };
+        check_canonical(payload, &written)?;
+        self.sequences[ego].end(&end)?;
+        self.ends[ego] = Some(end);
+        Ok(())
+    }
+
+    /// The episode, where `line` is the number of the line after the last.
+    fn into_episode(mut self, line: usize) -> Result<Episode, DecodeError> {
+        let missing = "is missing: the log ends without telling how the episode ended; it was cut short, drive the episode again";
+        for (ego, end) in self.ends.into_iter().enumerate() {
+            let end = end.ok_or_else(|| at(line, missing.into()))?;
+            self.episode.ego_mut(ego).end = end;
+        }
+        Ok(self.episode)
+    }
 }
 
 fn at(line: usize, reason: String) -> DecodeError {
@@ -91,32 +201,6 @@ fn head(chain: &mut Chain, line: &[u8]) -> Result<(EpisodeHead, EpisodeTick, Seq
     let (head, start) = form.into_head()?;
     let sequence = Sequence::new(&head, &start)?;
     Ok((head, start, sequence))
-}
-
-enum Decoded {
-    Step(EpisodeStep),
-    End(EpisodeEnd),
-}
-
-fn record(chain: &mut Chain, line: &[u8], sequence: &mut Sequence) -> Result<Decoded, String> {
-    let payload = chain.open(line)?;
-    match Record::parse(payload)? {
-        Record::Step(form) => {
-            let step = form.into_step()?;
-            check_canonical(
-                payload,
-                &to_json(&StepForm::from_step(&step, sequence.version())),
-            )?;
-            sequence.step(&step)?;
-            Ok(Decoded::Step(step))
-        }
-        Record::End(form) => {
-            let end = form.into_end()?;
-            check_canonical(payload, &to_json(&EndForm::from_end(&end)))?;
-            sequence.end(&end)?;
-            Ok(Decoded::End(end))
-        }
-    }
 }
 
 /// One episode has one log: what reads the same is written the same.

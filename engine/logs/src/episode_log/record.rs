@@ -13,11 +13,12 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::FORMAT;
+use super::egos::OtherEndForm;
 use super::instant::{InstantForm, LANES_VERSION, instant, instant_form};
 use crate::scenario_file;
 
 /// Index, right end and left end of a stop line.
-type LineForm = (usize, [f64; 2], [f64; 2]);
+pub(super) type LineForm = (usize, [f64; 2], [f64; 2]);
 
 /// Fields of the first line that are the same in all versions.
 #[derive(Deserialize)]
@@ -34,24 +35,24 @@ pub(super) struct HeadForm {
     version: u32,
     program: String,
     scenario: String,
-    planner: PlannerForm,
-    drawn_by: Option<DrawnByForm>,
-    route_m: Vec<[f64; 2]>,
+    pub(super) planner: PlannerForm,
+    pub(super) drawn_by: Option<DrawnByForm>,
+    pub(super) route_m: Vec<[f64; 2]>,
     agent_sizes_m: Vec<[f64; 3]>,
     /// Index of the light, right end, left end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    stop_lines: Vec<LineForm>,
+    pub(super) stop_lines: Vec<LineForm>,
     /// Index of the sign, right end, left end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     sign_lines: Vec<LineForm>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     agent_driver: Option<String>,
-    start: InstantForm,
+    pub(super) start: InstantForm,
 }
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-struct PlannerForm {
+pub(super) struct PlannerForm {
     name: String,
     cameras: Vec<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -59,6 +60,12 @@ struct PlannerForm {
     #[serde(default, skip_serializing_if = "is_false")]
     localization: bool,
     privileged: bool,
+}
+
+/// True for the first ego, whose number is left out.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+fn is_first(ego: &usize) -> bool {
+    *ego == 0
 }
 
 /// True for `false`, which is left out.
@@ -69,7 +76,7 @@ fn is_false(flag: &bool) -> bool {
 
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-struct DrawnByForm {
+pub(super) struct DrawnByForm {
     device: String,
     width_px: u32,
     height_px: u32,
@@ -82,6 +89,9 @@ struct DrawnByForm {
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StepForm {
+    /// Ego of the line, from 0.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub(super) ego: usize,
     step: u32,
     /// Sensor and hash in 32 hex digits.
     images: Vec<(String, String)>,
@@ -173,10 +183,11 @@ pub(super) enum EndForm {
     },
 }
 
-/// Any line but the first. A step has a `step`, an end has an `end`.
+/// Any line but those of heads. A step has a `step`, an end has an `end`; both have an `ego` where
+/// it is not the first.
 pub(super) enum Record {
     Step(StepForm),
-    End(EndForm),
+    End(usize, EndForm),
 }
 
 impl Record {
@@ -184,8 +195,13 @@ impl Record {
         let json_error =
             |error: serde_json::Error| format!("is no record of a step or an end: {error}");
         if payload.starts_with("{\"end\"") {
-            return serde_json::from_str(payload)
-                .map(Self::End)
+            let end = serde_json::from_str(payload);
+            return end.map(|end| Self::End(0, end)).map_err(json_error);
+        }
+        if payload.starts_with("{\"ego\"") && payload.contains(",\"end\":{\"end\"") {
+            let end: Result<OtherEndForm, _> = serde_json::from_str(payload);
+            return end
+                .map(|OtherEndForm { ego, end }| Self::End(ego, end))
                 .map_err(json_error);
         }
         serde_json::from_str(payload)
@@ -199,12 +215,80 @@ pub(super) fn to_json(form: &impl Serialize) -> String {
     serde_json::to_string(form).expect("numbers and text, which JSON can hold")
 }
 
+fn planner_form(record: PlannerRecord) -> PlannerForm {
+    let PlannerRecord {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    } = record;
+    PlannerForm {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    }
+}
+
+pub(super) fn planner_record(form: PlannerForm) -> PlannerRecord {
+    let PlannerForm {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    } = form;
+    PlannerRecord {
+        name,
+        cameras,
+        lidars,
+        localization,
+        privileged,
+    }
+}
+
+fn drawn_by_form(record: DrawnBy) -> DrawnByForm {
+    let DrawnBy {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    } = record;
+    DrawnByForm {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    }
+}
+
+pub(super) fn drawn_by(form: DrawnByForm) -> DrawnBy {
+    let DrawnByForm {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    } = form;
+    DrawnBy {
+        device,
+        width_px,
+        height_px,
+        every,
+        f_theta,
+    }
+}
+
 fn line_form(line: &StopLineRecord) -> LineForm {
     let [right_m, left_m] = line.ends_m.map(|end_m| end_m.to_array());
     (line.index, right_m, left_m)
 }
 
-fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
+pub(super) fn line((index, right_m, left_m): LineForm) -> StopLineRecord {
     StopLineRecord {
         index,
         ends_m: [right_m, left_m].map(DVec2::from_array),
@@ -227,42 +311,14 @@ impl HeadForm {
             sign_lines,
             agent_driver,
         } = head;
-        let PlannerRecord {
-            name,
-            cameras,
-            lidars,
-            localization,
-            privileged,
-        } = planner.clone();
-        let drawn_by = drawn_by.clone().map(
-            |DrawnBy {
-                 device,
-                 width_px,
-                 height_px,
-                 every,
-                 f_theta,
-             }| DrawnByForm {
-                device,
-                width_px,
-                height_px,
-                every,
-                f_theta,
-            },
-        );
         Ok(Self {
             format: FORMAT.into(),
             version: *log_version,
             program: version.clone(),
             scenario: scenario_file::to_toml(scenario)
                 .map_err(|error| format!("its scenario: {error}"))?,
-            planner: PlannerForm {
-                name,
-                cameras,
-                lidars,
-                localization,
-                privileged,
-            },
-            drawn_by,
+            planner: planner_form(planner.clone()),
+            drawn_by: drawn_by.clone().map(drawn_by_form),
             route_m: route_m.iter().map(DVec2::to_array).collect(),
             agent_sizes_m: agent_sizes.iter().map(|size| size.to_array()).collect(),
             stop_lines: stop_lines.iter().map(line_form).collect(),
@@ -283,40 +339,12 @@ impl HeadForm {
         }
         let scenario = scenario_file::parse(&self.scenario)
             .map_err(|error| format!("its scenario, {error}"))?;
-        let PlannerForm {
-            name,
-            cameras,
-            lidars,
-            localization,
-            privileged,
-        } = self.planner;
-        let drawn_by = self.drawn_by.map(
-            |DrawnByForm {
-                 device,
-                 width_px,
-                 height_px,
-                 every,
-                 f_theta,
-             }| DrawnBy {
-                device,
-                width_px,
-                height_px,
-                every,
-                f_theta,
-            },
-        );
         let head = EpisodeHead {
             log_version: self.version,
             version: self.program,
             scenario,
-            planner: PlannerRecord {
-                name,
-                cameras,
-                lidars,
-                localization,
-                privileged,
-            },
-            drawn_by,
+            planner: planner_record(self.planner),
+            drawn_by: self.drawn_by.map(drawn_by),
             route_m: self.route_m.into_iter().map(DVec2::from_array).collect(),
             agent_sizes: self
                 .agent_sizes_m
@@ -345,6 +373,7 @@ impl StepForm {
             lights,
         } = step;
         Self {
+            ego: 0,
             step: *step,
             images: readings
                 .iter()
@@ -367,6 +396,24 @@ impl StepForm {
             commands: commands.iter().map(command_form).collect(),
             lights: lights.iter().map(light_form).collect(),
         }
+    }
+
+    /// The form of a line of ego `ego` where lines before have told the agents at the first `told`
+    /// moments, and the changes of the world if `has_world`.
+    pub(super) fn of_ego(mut self, ego: usize, told: usize, has_world: bool) -> Self {
+        self.ego = ego;
+        if has_world {
+            self.handovers.clear();
+            self.commands.clear();
+            self.lights.clear();
+        }
+        let shortened = |(index, instant): (usize, InstantForm)| match index < told {
+            true => instant.without_agents(),
+            false => instant,
+        };
+        let instants = self.instants.into_iter().enumerate();
+        self.instants = instants.map(shortened).collect();
+        self
     }
 
     /// # Errors

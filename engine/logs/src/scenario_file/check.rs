@@ -10,6 +10,7 @@ use decouplegs_scene::scenario::{
 };
 use decouplegs_scene::{Pedestrian, RoadUser, Scenario, TrafficLight, TrafficSign, VehicleSize};
 
+use super::ego::check_egos;
 use super::story::check_story;
 use decouplegs_asset::traffic_light_form::{self, LIGHTS_MAX, Least};
 use decouplegs_asset::traffic_sign_form::{self, SIGNS_MAX};
@@ -46,7 +47,7 @@ const BACKGROUND_SPLATS_MAX: usize = 200_000_000;
 const AGENT_SPLATS_MAX: usize = 10_000_000;
 
 /// Assets have numbers below this.
-const ASSETS_MAX: usize = 65_536;
+pub(super) const ASSETS_MAX: usize = 65_536;
 
 const ALONG_M: RangeInclusive<f64> = 0.0..=1e6;
 const SPEED_MPS: RangeInclusive<f64> = 0.0..=100.0;
@@ -69,6 +70,7 @@ pub(super) enum Table {
     Top,
     Place,
     Ego,
+    OtherEgo(usize),
     Light(usize),
     Agent(usize),
     Behavior(usize, usize),
@@ -83,6 +85,7 @@ impl Display for Table {
             Self::Top => Ok(()),
             Self::Place => formatter.write_str("place"),
             Self::Ego => formatter.write_str("ego"),
+            Self::OtherEgo(other) => write!(formatter, "other_ego[{other}]"),
             Self::Light(light) => write!(formatter, "light[{light}]"),
             Self::Sign(sign) => write!(formatter, "sign[{sign}]"),
             Self::Pedestrian(walker) => write!(formatter, "pedestrian[{walker}]"),
@@ -125,7 +128,8 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
     )?;
     within(top, "step_s", scenario.step_s, &(STEP_S_MIN..=STEP_S_MAX))?;
     check_place(&scenario.place)?;
-    check_ego(&scenario.ego)?;
+    let mut names = HashSet::new();
+    check_egos(scenario, &mut names)?;
     if scenario.agent_count() > AGENTS_MAX {
         let reason = format!(
             "{} agents; expected at most {AGENTS_MAX}",
@@ -140,7 +144,6 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Fault> {
         };
         return Err(Fault::new(table, "name", reason));
     }
-    let mut names = HashSet::new();
     for (index, agent) in scenario.agents.iter().enumerate() {
         check_agent(Table::Agent(index), agent)?;
         if !names.insert(agent.name.as_str()) {
@@ -217,7 +220,7 @@ fn check_lights(lights: &[TrafficLight], named: &HashSet<&str>) -> Result<(), Fa
     Ok(())
 }
 
-fn within<T: PartialOrd + Display>(
+pub(super) fn within<T: PartialOrd + Display>(
     table: Table,
     field: &'static str,
     value: T,
@@ -328,8 +331,7 @@ fn check_lane(table: Table, field: &'static str, lane: &str) -> Result<(), Fault
     Err(Fault::new(table, field, reason))
 }
 
-fn check_ego(ego: &EgoTask) -> Result<(), Fault> {
-    let table = Table::Ego;
+pub(super) fn check_ego(table: Table, ego: &EgoTask) -> Result<(), Fault> {
     if !(1..=ROUTE_LANES_MAX).contains(&ego.route.len()) {
         let reason = format!("{} lanes; expected 1 to {ROUTE_LANES_MAX}", ego.route.len());
         return Err(Fault::new(table, "route", reason));

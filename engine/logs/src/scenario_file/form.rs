@@ -1,7 +1,7 @@
 //! The TOML form of a scenario: what serde sees, and how a [`Scenario`] is made of it.
 
 use decouplegs_scene::scenario::{
-    Behavior, DriverKind, Drivers, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, DriverKind, Drivers, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{Air, Level, Pedestrian, RoadUser, Scenario, Story, VehicleSize, Weather};
 use glam::DVec2;
@@ -10,6 +10,7 @@ use toml::Spanned;
 
 use super::VERSION;
 use super::check::{Fault, Table, check};
+use super::ego::{EgoForm, egos};
 use super::seed::Seed;
 use super::when::{AfterForm, WhenForm};
 use decouplegs_asset::SceneError;
@@ -35,6 +36,8 @@ pub(super) struct ScenarioForm {
     pub(super) step_s: f64,
     pub(super) place: PlaceForm,
     pub(super) ego: Spanned<EgoForm>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) other_ego: Vec<Spanned<EgoForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) agent: Vec<Spanned<AgentForm>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -99,23 +102,7 @@ pub(super) struct SceneForm {
     pub(super) obstacles: Option<String>,
 }
 
-#[derive(Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct EgoForm {
-    pub(super) route: Vec<String>,
-    pub(super) start_m: f64,
-    pub(super) end_m: f64,
-    pub(super) speed_mps: f64,
-    pub(super) cruise_mps: f64,
-    #[serde(default = "default_size_m")]
-    pub(super) size_m: [f64; 3],
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub(super) follows_recording: bool,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) start_pose: Option<[f64; 3]>,
-}
-
-fn default_size_m() -> [f64; 3] {
+pub(super) fn default_size_m() -> [f64; 3] {
     VehicleSize::CAR.to_array()
 }
 
@@ -219,6 +206,7 @@ pub(super) fn parse(text: &str) -> Result<Scenario, SceneError> {
                 PlaceForm::Scene(scene) => scene.span(),
             },
             Table::Ego => form.ego.span(),
+            Table::OtherEgo(other) => form.other_ego[other].span(),
             Table::Light(light) => form.light[light].span(),
             Table::Sign(sign) => form.sign[sign].span(),
             Table::Pedestrian(walker) => form.pedestrian[walker].span(),
@@ -268,7 +256,8 @@ fn scenario(form: &ScenarioForm) -> Result<Scenario, Fault> {
         duration_s: form.duration_s,
         step_s: form.step_s,
         place: place(&form.place)?,
-        ego: ego(form.ego.get_ref()),
+        ego: form.ego.get_ref().task(),
+        egos: egos(form),
         agents: form
             .agent
             .iter()
@@ -378,19 +367,6 @@ fn place(form: &PlaceForm) -> Result<Place, Fault> {
             }
         }
     })
-}
-
-fn ego(form: &EgoForm) -> EgoTask {
-    EgoTask {
-        route: form.route.clone(),
-        start_m: form.start_m,
-        end_m: form.end_m,
-        speed_mps: form.speed_mps,
-        cruise_mps: form.cruise_mps,
-        size: VehicleSize::from_array(form.size_m),
-        follows_recording: form.follows_recording,
-        start_pose: form.start_pose,
-    }
 }
 
 fn agent(at: usize, form: &AgentForm) -> Result<TrafficAgent, Fault> {

@@ -3,6 +3,7 @@
 //! The format is documented, with an example, in `engine/asset/scenario-file.md`.
 
 mod check;
+mod ego;
 mod form;
 mod seed;
 mod story;

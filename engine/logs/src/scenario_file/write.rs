@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use decouplegs_scene::scenario::{
-    Behavior, Drivers, EgoTask, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
+    Behavior, Drivers, LaneSide, Maneuver, Place, TrafficAgent, Trigger,
 };
 use decouplegs_scene::{Level, Pedestrian, RoadUser, Scenario, Story};
 use glam::DVec2;
@@ -11,9 +11,10 @@ use toml::Spanned;
 
 use super::VERSION;
 use super::check::check;
+use super::ego::{EgoForm, other_forms};
 use super::form::{
-    AgentForm, BehaviorForm, EgoForm, PedestrianForm, PlaceForm, RoadsForm, ScenarioForm,
-    SceneForm, StreetForm,
+    AgentForm, BehaviorForm, PedestrianForm, PlaceForm, RoadsForm, ScenarioForm, SceneForm,
+    StreetForm,
 };
 use super::seed::Seed;
 use super::when::{AfterForm, WhenForm};
@@ -43,7 +44,8 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
         duration_s: scenario.duration_s,
         step_s: scenario.step_s,
         place: place_form(&scenario.place)?,
-        ego: spanless(ego_form(&scenario.ego)),
+        ego: spanless(EgoForm::new(&scenario.ego, &scenario.egos.own)),
+        other_ego: other_forms(scenario),
         agent: scenario
             .agents
             .iter()
@@ -70,7 +72,7 @@ pub(super) fn to_toml(scenario: &Scenario) -> Result<String, EncodeError> {
     Ok(format!("{HEADING}{body}"))
 }
 
-fn spanless<T>(value: T) -> Spanned<T> {
+pub(super) fn spanless<T>(value: T) -> Spanned<T> {
     Spanned::new(0..0, value)
 }
 
@@ -125,19 +127,6 @@ fn place_form(place: &Place) -> Result<PlaceForm, EncodeError> {
             obstacles: obstacles.as_deref().map(path_text).transpose()?,
         })),
     })
-}
-
-fn ego_form(ego: &EgoTask) -> EgoForm {
-    EgoForm {
-        route: ego.route.clone(),
-        start_m: ego.start_m,
-        end_m: ego.end_m,
-        speed_mps: ego.speed_mps,
-        cruise_mps: ego.cruise_mps,
-        size_m: ego.size.to_array(),
-        follows_recording: ego.follows_recording,
-        start_pose: ego.start_pose,
-    }
 }
 
 fn agent_form(agent: &TrafficAgent) -> AgentForm {

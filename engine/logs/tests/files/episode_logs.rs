@@ -235,6 +235,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
                     start,
                     steps: vec![],
                     end,
+                    others: vec![],
                 };
                 steps.into_iter().for_each(|step| episode.push(step));
                 episode
@@ -244,7 +245,7 @@ fn episodes() -> impl Strategy<Value = Episode> {
 }
 
 /// An episode of three short steps with one agent.
-fn small() -> Episode {
+pub fn small() -> Episode {
     let mut scenario: Scenario = decouplegs_logs::scenario_file::parse(
         &crate::scenario_files::example().replace("\"hard\"", "\"easy\""),
     )
@@ -321,6 +322,7 @@ fn small() -> Episode {
         start: instant(0.0),
         steps: (0..3).map(step).collect(),
         end: EpisodeEnd::Collision { agent: 0 },
+        others: vec![],
     }
 }
 

@@ -15,6 +15,7 @@ fn an_episode_log_of_version_1_reads_as_it_was_written() {
         start,
         steps,
         end,
+        ..
     } = read_episode_log(&path).unwrap();
     assert_eq!(
         (head.scenario.seed, head.scenario.agents[0].behaviors.len()),

@@ -5,4 +5,5 @@ mod frozen;
 mod open_scenarios;
 mod scenario_files;
 mod scenarios;
+mod several_egos;
 mod stories;

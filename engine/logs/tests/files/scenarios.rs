@@ -5,8 +5,8 @@ use decouplegs_scene::scenario::{
     TrafficAgent, Trigger,
 };
 use decouplegs_scene::{
-    Air, Level, LightColor, LightPhase, Pedestrian, RoadUser, Scenario, SignKind, StopLine,
-    TrafficLight, TrafficSign, VehicleSize, Weather,
+    Air, EgoIdentity, Egos, Level, LightColor, LightPhase, OtherEgo, Pedestrian, RoadUser,
+    Scenario, SignKind, StopLine, TrafficLight, TrafficSign, VehicleSize, Weather,
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -261,6 +261,7 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
                     step_s,
                     place,
                     ego,
+                    egos: Egos::default(),
                     agents,
                     lights,
                     pedestrians,
@@ -269,6 +270,30 @@ pub fn scenarios() -> impl Strategy<Value = Scenario> {
                 }
             },
         )
+}
+
+/// Scenarios with up to eight egos.
+pub fn scenarios_of_egos() -> impl Strategy<Value = Scenario> {
+    let planner = prop::option::of(select(vec![
+        "constant-velocity",
+        "lane-follow",
+        "vision",
+        "learned",
+    ]));
+    let identity = (0usize..65_536, planner).prop_map(|(asset, planner)| EgoIdentity {
+        asset,
+        planner: planner.map(str::to_owned),
+        ..EgoIdentity::default()
+    });
+    let other = (identity.clone(), egos()).prop_map(|(identity, task)| OtherEgo { identity, task });
+    let others = prop::collection::vec(other, 0..Egos::MAX);
+    (scenarios(), identity, others).prop_map(|(scenario, own, mut others)| {
+        for (index, other) in others.iter_mut().enumerate() {
+            other.identity.name = format!("ego-{index}");
+        }
+        let egos = Egos { own, others };
+        Scenario { egos, ..scenario }
+    })
 }
 
 fn signs() -> impl Strategy<Value = Vec<TrafficSign>> {

@@ -6,6 +6,7 @@
 //! loop; [`Rollout`] is for those who go round it themselves. Everything that happens is in an
 //! [`Episode`], from which [`replay`] makes it again, bit by bit.
 
+mod egos_renderer;
 mod live;
 mod moments;
 mod observation_renderer;
@@ -15,6 +16,7 @@ mod replay;
 mod rollout;
 mod simulation;
 mod site;
+mod together;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -23,22 +25,24 @@ use decouplegs_asset::AssetError;
 use decouplegs_scene::episode::{
     Episode, EpisodeEnd, EpisodeHead, EpisodeStep, EpisodeTick, PlannerRecord,
 };
-use decouplegs_scene::{Plan, Scenario};
+use decouplegs_scene::{Plan, Rig, Scenario};
 use decouplegs_session::SessionError;
 
 use crate::planner::agents::{AgentDriver, AgentsInfo};
 use crate::planner::{Cameras, EpisodeInfo, Observation, Planner, PlannerError, Reading};
 use overlapped::Overlapped;
 
+pub use egos_renderer::EgosRenderer;
 pub use live::LiveEpisode;
 pub use moments::{Moment, Moments};
 pub use observation_renderer::{
     ObservationRenderer, camera_named, chosen, chosen_lidars, reading_hash,
 };
-pub use replay::{Replayed, replay};
-pub use rollout::{EpisodeMetadata, Rollout};
-pub use simulation::Simulation;
+pub use replay::{Replayed, replay, replay_egos};
+pub use rollout::{Answer, EpisodeMetadata, Rollout};
+pub use simulation::{EgoView, Simulation};
 pub use site::{Appearance, Site, SiteError, rig_of};
+pub use together::{EgosObserver, drive_egos};
 
 /// Reason why an episode could not be driven: a fault of the run, not of the planner.
 #[derive(Debug, thiserror::Error)]
@@ -250,8 +254,10 @@ fn introduce(
     planner: &mut dyn Planner,
     renderer: Option<&ObservationRenderer>,
 ) {
-    if let Err(error) = planner.begin(&episode_info(rollout.simulation(), renderer)) {
-        rollout.fail(error.to_string());
+    let rig = renderer.map(ObservationRenderer::rig);
+    let info = episode_info(&rollout.simulation().view(0), rig);
+    if let Err(error) = planner.begin(&info) {
+        rollout.fail(0, error.to_string());
     }
 }
 
@@ -281,7 +287,7 @@ fn one_step(
                 .map(ObservationRenderer::hashes)
                 .unwrap_or_default()
         });
-        let answer = ask(rollout, planner, &readings);
+        let answer = ask(rollout, 0, planner, &readings);
         time.plan = lap();
         (answer, hashes.join().expect("hashing does not panic"))
     });
@@ -289,7 +295,7 @@ fn one_step(
     let plan = match answer {
         Ok(plan) => plan,
         Err(error) => {
-            rollout.fail(error.to_string());
+            rollout.fail(0, error.to_string());
             return Ok(time);
         }
     };
@@ -311,26 +317,27 @@ fn laps() -> impl FnMut() -> Duration {
     }
 }
 
-/// The plan of `planner` for the next step, made from `readings`.
+/// The plan of `planner` for the next step of ego `ego`, made from `readings`.
 fn ask(
     rollout: &Rollout,
+    ego: usize,
     planner: &mut dyn Planner,
     readings: &[Reading],
 ) -> Result<Plan, PlannerError> {
-    let simulation = rollout.simulation();
+    let view = rollout.simulation().view(ego);
     let sees = planner.sees();
-    let privileged = sees.privileged.then(|| simulation.privileged());
+    let privileged = sees.privileged.then(|| view.privileged());
     let localization = sees.localization.then(|| {
-        let episode = rollout.episode();
+        let episode = rollout.episode().ego(ego);
         let driven = episode.steps.last().map(|step| step.instants.as_slice());
-        simulation.localization(driven.unwrap_or(std::slice::from_ref(&episode.start)))
+        view.localization(driven.unwrap_or(std::slice::from_ref(&episode.start)))
     });
     planner.plan(&Observation {
         step: rollout.next_step(),
-        time_s: simulation.time_s(),
+        time_s: view.simulation().time_s(),
         readings,
-        ego: simulation.motion(),
-        guidance: simulation.guidance(),
+        ego: view.motion(),
+        guidance: view.guidance(),
         localization: localization.as_ref(),
         privileged: privileged.as_ref(),
     })
@@ -338,7 +345,14 @@ fn ask(
 
 fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) -> EpisodeMetadata {
     let rig = renderer.map(|renderer| renderer.rig().clone());
-    let rig = rig.unwrap_or_default();
+    EpisodeMetadata {
+        drawn_by: renderer.and_then(ObservationRenderer::drawn_by),
+        ..metadata_for(&rig.unwrap_or_default(), planner)
+    }
+}
+
+/// Metadata of an ego with the sensors of `rig`, without what draws them.
+fn metadata_for(rig: &Rig, planner: &dyn Planner) -> EpisodeMetadata {
     let cameras = rig.cameras().map(|camera| camera.name.clone()).collect();
     let lidars = rig.lidars().map(|lidar| lidar.name.clone()).collect();
     let planner = PlannerRecord {
@@ -351,21 +365,19 @@ fn metadata_of(renderer: Option<&ObservationRenderer>, planner: &dyn Planner) ->
     EpisodeMetadata {
         planner,
         agent_driver: None,
-        drawn_by: renderer.and_then(ObservationRenderer::drawn_by),
+        drawn_by: None,
     }
 }
 
-fn episode_info(simulation: &Simulation, renderer: Option<&ObservationRenderer>) -> EpisodeInfo {
-    let scenario = simulation.scenario();
+fn episode_info(view: &EgoView<'_>, rig: Option<&Rig>) -> EpisodeInfo {
+    let scenario = view.simulation().scenario();
     EpisodeInfo {
         scenario: scenario.name.clone(),
         seed: scenario.seed,
         step_s: scenario.step_s,
-        ego_size: scenario.ego.size,
-        rear_axle_to_middle_m: simulation.ego().rear_axle_to_middle_m(),
-        sensors: renderer
-            .map(|renderer| renderer.rig().sensors.clone())
-            .unwrap_or_default(),
+        ego_size: view.task().size,
+        rear_axle_to_middle_m: view.ego().rear_axle_to_middle_m(),
+        sensors: rig.map(|rig| rig.sensors.clone()).unwrap_or_default(),
     }
 }
 

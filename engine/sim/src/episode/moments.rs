@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use decouplegs_scene::episode::{Episode, EpisodeStep};
-use decouplegs_scene::{Motion, Pose, Scenario};
+use decouplegs_scene::{Motion, Plan, Pose, Scenario};
 use decouplegs_session::{SessionError, SessionScene, World};
 
 use super::replay::check_version;
@@ -69,16 +69,25 @@ impl Moments {
             moments.departs_s = Some(0.0);
         }
         for step in &episode.steps {
-            moments.add(step)?;
+            moments.add_with(step, &episode.plans_at(step.step))?;
         }
         Ok(moments)
     }
 
-    /// Adds the moments of `step`, which follows those that were added before.
+    /// Adds the moments of `step` of the only ego, which follows those that were added before.
     ///
     /// # Errors
     /// Returns an error if the scene has not the agents' assets.
     pub fn add(&mut self, step: &EpisodeStep) -> Result<(), EpisodeError> {
+        self.add_with(step, &[Some(&step.plan)])
+    }
+
+    /// Adds the moments of `step` of the first ego, in which all egos drive `plans`.
+    fn add_with(
+        &mut self,
+        step: &EpisodeStep,
+        plans: &[Option<&Plan>],
+    ) -> Result<(), EpisodeError> {
         let Self {
             moments,
             simulation,
@@ -90,11 +99,17 @@ impl Moments {
         }
         let begins_s = simulation.time_s();
         let mut failed = None;
-        let instants =
-            simulation.advance_with(&step.plan, |simulation| match moment(simulation, world) {
+        let all = simulation.advance_with(plans, |simulation| {
+            // Others may drive on in the step in which the first ego ended.
+            if !simulation.view(0).is_here() {
+                return;
+            }
+            match moment(simulation, world) {
                 Ok(moment) => moments.push(moment),
                 Err(error) => failed = Some(error),
-            });
+            }
+        });
+        let instants = &all[0];
         let mut pairs = instants.iter().zip(&step.instants);
         let first = pairs.find(|(now, logged)| now.told_like(logged) != **logged);
         let is_other = first.is_some() || instants.len() != step.instants.len();
@@ -119,7 +134,7 @@ impl Moments {
 }
 
 fn moment(simulation: &Simulation, world: &mut World) -> Result<Moment, SessionError> {
-    let (ego, motion) = simulation.show(world)?;
+    let (ego, motion) = simulation.view(0).show(world)?;
     Ok(Moment {
         time_s: simulation.time_s(),
         step: None,

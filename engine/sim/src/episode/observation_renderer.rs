@@ -6,7 +6,9 @@ use std::time::Duration;
 use decouplegs_asset::{AssetError, read_lidar};
 use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
 use decouplegs_scene::lidar::{ROOF_M, ReturnOptions};
-use decouplegs_scene::{Camera, Invalid, LidarSweep, Pose, Rig, RigCamera, RigLidar, random};
+use decouplegs_scene::{
+    Camera, Invalid, LidarSweep, Motion, Pose, Rig, RigCamera, RigLidar, random,
+};
 use decouplegs_session::{
     BatchRenderer, HostImages, RigSweep, SessionError, SessionScene, TracedSweep, World, WorldView,
     hash_bytes,
@@ -166,14 +168,10 @@ impl ObservationRenderer {
     /// Record of the renderer for a log.
     #[must_use]
     pub fn drawn_by(&self) -> Option<DrawnBy> {
-        let first = self.rig.cameras().next();
-        let size_px = first.map(|camera| camera.intrinsics);
-        (!self.rig.sensors.is_empty()).then(|| DrawnBy {
-            device: self.renderer.gpu().info().to_string(),
-            width_px: size_px.map_or(0, |k| k.width_px),
-            height_px: size_px.map_or(0, |k| k.height_px),
-            every: self.every,
+        let drawn_by = drawn_by(&self.rig, &self.renderer, self.every);
+        drawn_by.map(|record| DrawnBy {
             f_theta: self.f_theta,
+            ..record
         })
     }
 
@@ -190,7 +188,7 @@ impl ObservationRenderer {
         if self.rig.cameras().next().is_none() || !step.is_multiple_of(self.every) {
             return Ok(false);
         }
-        let (ego, motion) = simulation.show(&mut self.world)?;
+        let (ego, motion) = simulation.view(0).show(&mut self.world)?;
         let cameras = self.rig.moving_at(&ego, &motion);
         self.submit_cameras(&cameras)?;
         Ok(true)
@@ -241,22 +239,10 @@ impl ObservationRenderer {
         if self.rig.sensors.is_empty() || !step.is_multiple_of(self.every) {
             return Ok(());
         }
-        let (ego, motion) = simulation.show(&mut self.world)?;
+        let (ego, motion) = simulation.view(0).show(&mut self.world)?;
         let cameras = self.rig.moving_at(&ego, &motion);
         let seed = random::mix(simulation.scenario().seed ^ u64::from(step));
-        let lidars = self.rig.sweeps_until(&ego, &motion);
-        let options = lidars.iter().zip(0..).map(|(lidar, index)| ReturnOptions {
-            seed: seed.wrapping_add(index),
-            ..ReturnOptions::for_model(&lidar.model)
-        });
-        let options: Vec<ReturnOptions> = options.collect();
-        let sweeps = lidars.into_iter().zip(&options);
-        let sweeps = sweeps.map(|(lidar, options)| RigSweep {
-            world_s: lidar.model.sweep_s,
-            mode: options.mode,
-            lidar,
-        });
-        let sweeps: Vec<RigSweep> = sweeps.collect();
+        let (sweeps, options) = sweeps_of(&self.rig, (&ego, &motion), seed);
         // The device draws the images while the host prepares the first sweep.
         if !cameras.is_empty() {
             self.submit_cameras(&cameras)?;
@@ -294,10 +280,7 @@ impl ObservationRenderer {
     #[must_use]
     pub fn hashes(&self) -> Vec<ReadingRecord> {
         let drawn: Vec<_> = self.drawn().collect();
-        let hash = |(camera, rgba): (&RigCamera, &[u8])| ReadingRecord {
-            sensor: camera.name.clone(),
-            hash: reading_hash(rgba),
-        };
+        let hash = |(camera, rgba): (&RigCamera, &[u8])| record_image(camera, rgba);
         let images = drawn.into_par_iter().map(hash);
         // Those that stayed on the device.
         let hashed = self.rig.cameras().zip(&self.hashed);
@@ -306,10 +289,7 @@ impl ObservationRenderer {
             hash: *hash,
         });
         let hashed: Vec<ReadingRecord> = hashed.collect();
-        let sweeps = self.sweeps.par_iter().map(|sweep| ReadingRecord {
-            sensor: sweep.lidar.name.clone(),
-            hash: reading_hash(&sweep.bytes()),
-        });
+        let sweeps = self.sweeps.par_iter().map(record_sweep);
         images.chain(hashed).chain(sweeps).collect()
     }
 
@@ -325,4 +305,56 @@ impl ObservationRenderer {
 #[must_use]
 pub fn reading_hash(bytes: &[u8]) -> u128 {
     hash_bytes(bytes)
+}
+
+/// Record for a log of what draws the sensors of `rig`, through their own lenses; `None` where
+/// there are none.
+pub(super) fn drawn_by(rig: &Rig, renderer: &BatchRenderer, every: u32) -> Option<DrawnBy> {
+    let first = rig.cameras().next();
+    let size_px = first.map(|camera| camera.intrinsics);
+    (!rig.sensors.is_empty()).then(|| DrawnBy {
+        device: renderer.gpu().info().to_string(),
+        width_px: size_px.map_or(0, |k| k.width_px),
+        height_px: size_px.map_or(0, |k| k.height_px),
+        every,
+        f_theta: false,
+    })
+}
+
+/// Sweeps of the LiDARs of `rig` that end at the pose and the motion of an ego, and the options of
+/// their returns.
+pub(super) fn sweeps_of(
+    rig: &Rig,
+    (pose, motion): (&Pose, &Motion),
+    seed: u64,
+) -> (Vec<RigSweep>, Vec<ReturnOptions>) {
+    let lidars = rig.sweeps_until(pose, motion);
+    let options = lidars.iter().zip(0..).map(|(lidar, index)| ReturnOptions {
+        seed: seed.wrapping_add(index),
+        ..ReturnOptions::for_model(&lidar.model)
+    });
+    let options: Vec<ReturnOptions> = options.collect();
+    let sweeps = lidars.into_iter().zip(&options);
+    let sweeps = sweeps.map(|(lidar, options)| RigSweep {
+        world_s: lidar.model.sweep_s,
+        mode: options.mode,
+        lidar,
+    });
+    (sweeps.collect(), options)
+}
+
+/// Record of an image of `camera`.
+pub(super) fn record_image(camera: &RigCamera, rgba: &[u8]) -> ReadingRecord {
+    ReadingRecord {
+        sensor: camera.name.clone(),
+        hash: reading_hash(rgba),
+    }
+}
+
+/// Record of a sweep.
+pub(super) fn record_sweep(sweep: &LidarSweep) -> ReadingRecord {
+    ReadingRecord {
+        sensor: sweep.lidar.name.clone(),
+        hash: reading_hash(&sweep.bytes()),
+    }
 }

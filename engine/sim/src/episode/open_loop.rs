@@ -7,8 +7,8 @@ use decouplegs_scene::episode::Episode;
 use decouplegs_scene::{Plan, Rig};
 
 use super::site::Site;
-use super::{EpisodeError, Simulation};
-use crate::planner::{EpisodeInfo, Observation, Planner, Reading};
+use super::{EpisodeError, Simulation, episode_info};
+use crate::planner::{Observation, Planner, Reading};
 
 /// Images of a step, four bytes per pixel, one per camera of the rig.
 pub type Images = Vec<Vec<u8>>;
@@ -27,14 +27,7 @@ pub fn plans<E: From<EpisodeError>>(
 ) -> Result<Vec<Option<Plan>>, E> {
     let scenario = &episode.head.scenario;
     let mut simulation = Simulation::new(scenario, site)?;
-    let info = EpisodeInfo {
-        scenario: scenario.name.clone(),
-        seed: scenario.seed,
-        step_s: scenario.step_s,
-        ego_size: scenario.ego.size,
-        rear_axle_to_middle_m: simulation.ego().rear_axle_to_middle_m(),
-        sensors: rig.sensors.clone(),
-    };
+    let info = episode_info(&simulation.view(0), Some(rig));
     let begun = planner.begin(&info).is_ok();
     let mut driven = vec![simulation.instant()];
     let mut answers = Vec::with_capacity(episode.steps.len());
@@ -46,14 +39,15 @@ pub fn plans<E: From<EpisodeError>>(
             .map(|(camera, rgba)| Reading::image(camera, rgba))
             .collect();
         let sees = planner.sees();
-        let privileged = sees.privileged.then(|| simulation.privileged());
-        let localization = sees.localization.then(|| simulation.localization(&driven));
+        let view = simulation.view(0);
+        let privileged = sees.privileged.then(|| view.privileged());
+        let localization = sees.localization.then(|| view.localization(&driven));
         let observation = Observation {
             step: step.step,
             time_s: simulation.time_s(),
             readings: &readings,
-            ego: simulation.motion(),
-            guidance: simulation.guidance(),
+            ego: view.motion(),
+            guidance: view.guidance(),
             localization: localization.as_ref(),
             privileged: privileged.as_ref(),
         };
@@ -62,7 +56,8 @@ pub fn plans<E: From<EpisodeError>>(
         } else {
             None
         });
-        driven = simulation.advance(&step.plan);
+        let plans = episode.plans_at(step.step);
+        driven = simulation.advance_with(&plans, |_| {}).swap_remove(0);
     }
     Ok(answers)
 }

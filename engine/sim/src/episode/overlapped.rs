@@ -56,7 +56,7 @@ impl<'a> Overlapped<'a> {
                 };
                 scope.spawn(finish)
             });
-            let answer = ask(rollout, planner, &[]);
+            let answer = ask(rollout, 0, planner, &[]);
             time.plan = lap();
             let is_driven = match answer {
                 Ok(plan) => {
@@ -64,7 +64,7 @@ impl<'a> Overlapped<'a> {
                     true
                 }
                 Err(error) => {
-                    rollout.fail(error.to_string());
+                    rollout.fail(0, error.to_string());
                     false
                 }
             };

@@ -5,7 +5,10 @@ use std::sync::Arc;
 use decouplegs_scene::episode::{Episode, EpisodeEnd, LOG_VERSION, REPLAY_VERSION};
 use decouplegs_scene::{Plan, Scenario};
 
-use super::{EpisodeError, EpisodeObserver, ObservationRenderer, Site, drive_among};
+use super::{
+    EgosObserver, EgosRenderer, EpisodeError, EpisodeObserver, ObservationRenderer, Site,
+    drive_among, drive_egos,
+};
 use crate::planner::agents::{AgentDriver, LoggedCommands};
 use crate::planner::{EpisodeInfo, Observation, ObservationRequest, Planner, PlannerError};
 
@@ -89,18 +92,52 @@ pub fn replay(
         .map(|logged| logged as &mut dyn AgentDriver);
     let drivers = (&mut logged as &mut dyn Planner, agents);
     let driven = drive_among(scenario, site, renderer, drivers, observer)?.episode;
+    Ok(compared(episode, driven))
+}
+
+/// Drives the plans of all egos of `episode` again in `site`, drawn by `renderer`, and compares.
+///
+/// # Errors
+/// Returns the errors of [`super::drive_egos`].
+pub fn replay_egos(
+    episode: &Episode,
+    site: &Arc<Site>,
+    renderer: Option<&mut EgosRenderer>,
+    observer: &mut dyn EgosObserver,
+) -> Result<Replayed, EpisodeError> {
+    check_version(episode)?;
+    let logged = episode.egos().map(|episode| Logged {
+        episode,
+        warm_up: false,
+    });
+    let mut logged: Vec<Logged> = logged.collect();
+    let planners = logged.iter_mut().map(|logged| logged as &mut dyn Planner);
+    let mut planners: Vec<&mut dyn Planner> = planners.collect();
+    let longest = episode.egos().max_by_key(|ego| ego.steps.len());
+    let mut commands = longest.and_then(LoggedCommands::of_episode);
+    let agents = commands
+        .as_mut()
+        .map(|logged| logged as &mut dyn AgentDriver);
+    let scenario = &episode.head.scenario;
+    let drivers = (planners.as_mut_slice(), agents);
+    let driven = drive_egos(scenario, site, renderer, drivers, observer)?.episode;
+    Ok(compared(episode, driven))
+}
+
+/// Compares `driven`, the plans of `episode` driven again.
+fn compared(episode: &Episode, driven: Episode) -> Replayed {
     let again = driven.in_version(episode.head.log_version);
     let readings = |episode: &Episode| {
-        episode
-            .steps
-            .iter()
-            .flat_map(|step| step.readings.clone())
-            .collect::<Vec<_>>()
+        let steps = episode.egos().flat_map(|ego| &ego.steps);
+        let readings = steps.flat_map(|step| step.readings.clone());
+        readings.collect::<Vec<_>>()
     };
     let (before, after) = (readings(episode), readings(&again));
     let same_frames = before.len() == after.len();
-    Ok(Replayed {
-        moved_differently: first_difference(episode, &again),
+    let moved_differently = (episode.egos().zip(again.egos()))
+        .find_map(|(before, after)| first_difference(before, after));
+    Replayed {
+        moved_differently,
         readings: if same_frames { after.len() } else { 0 },
         readings_different: if same_frames {
             before.iter().zip(&after).filter(|(a, b)| a != b).count()
@@ -108,7 +145,7 @@ pub fn replay(
             0
         },
         episode: again,
-    })
+    }
 }
 
 /// Checks that traffic still moves by the rules of the log of `episode`.

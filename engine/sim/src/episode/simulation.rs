@@ -1,66 +1,52 @@
-//! The world of one episode in motion: the ego, the traffic and the clock.
+//! The world of one episode in motion: the egos, the traffic and the clock.
 
 mod commanded;
+mod driven_ego;
 mod recorded;
+mod shown;
 mod told;
+mod view;
 
 use std::sync::Arc;
 
 use decouplegs_drive::lights::TrafficLights;
 use decouplegs_drive::polyline::wrapped;
-use decouplegs_drive::score::RouteProgress;
 use decouplegs_drive::signs::TrafficSigns;
-use decouplegs_drive::{Ego, EgoOptions, OrientedBox, RoadSurface, Route, Traffic, TurnWatch};
-use decouplegs_scene::episode::{
-    EpisodeEnd, EpisodeTick, HandoverRecord, LightChangeRecord, RoadRecord, StopLineRecord,
-};
-use decouplegs_scene::{
-    Motion, Plan, Pose, Scenario, SignKind, Trajectory, VehicleSize, VehicleState,
-};
-use glam::{DVec2, DVec3};
+use decouplegs_drive::traffic::EgoBox;
+use decouplegs_drive::{OrientedBox, Traffic};
+use decouplegs_scene::episode::{EpisodeEnd, EpisodeTick, HandoverRecord, LightChangeRecord};
+use decouplegs_scene::{Motion, Plan, Pose, Scenario, SignKind, VehicleSize, VehicleState};
+use glam::DVec3;
 
-use self::recorded::recorded_state;
+use self::driven_ego::DrivenEgo;
+pub use self::view::EgoView;
 use super::EpisodeError;
 use super::site::Site;
-use decouplegs_session::{AgentInstance, SessionError, World};
-
-/// Time off the road after which the ego has left it for good, seconds, if it also drove
-/// [`OFF_ROAD_M`].
-const OFF_ROAD_S: f64 = 4.0;
-/// Distance driven off the road after which the ego has left it for good, meters.
-const OFF_ROAD_M: f64 = 20.0;
-/// Distance from its route at which the ego has left it, meters, as in CARLA's leaderboard.
-const OFF_ROUTE_M: f64 = 30.0;
 
 /// One episode in motion. [`Simulation::advance`] is all that moves it: the same plans give the
 /// same bits.
+///
+/// Vehicles have numbers: 0 is the first ego, the agents of the traffic follow, and the other egos
+/// come last.
 pub struct Simulation {
     scenario: Scenario,
     site: Arc<Site>,
-    route: Route,
-    progress: RouteProgress,
-    ego: Ego,
-    /// Position of the ego on the road.
-    road: RoadRecord,
-    turns: TurnWatch,
-    /// The way that the ego takes instead of its plans.
-    recorded: Option<Trajectory>,
+    /// Egos, in the order of the scenario; those that have ended too.
+    egos: Vec<DrivenEgo>,
     traffic: Traffic,
+    /// Boxes of the agents as the first ego sees them.
     agent_sizes: Vec<VehicleSize>,
     signs: Arc<TrafficSigns>,
     /// Assets that show the lights, by the index of the light.
     signals: Vec<(usize, Pose)>,
     /// Signs that stand beside their lines.
     sign_posts: Vec<(SignKind, Pose)>,
-    /// Height of the ground below the ego and then the agents at the end of the last step, meters,
-    /// which tells decks apart; `None` for agents that came onto the map since.
+    /// Height of the ground below vehicles at the end of the last step, meters, which tells decks
+    /// apart; `None` for agents that came onto the map since.
     ground_z_m: Vec<Option<f64>>,
-    /// Duration of the last sub-step and headings before it, of the ego and then of the agents.
+    /// Duration of the last sub-step, and the headings of vehicles before it.
     before: (f64, Vec<Option<f64>>),
     substep: u32,
-    /// Time and way since the ego was on the road last, seconds and meters.
-    off_road: (f64, f64),
-    end: Option<EpisodeEnd>,
 }
 
 /// Largest yaw rate that rolling shutters show, rad/s: pedestrians turn about within a sub-step.
@@ -76,7 +62,10 @@ impl Simulation {
             scenario: scenario.name.clone(),
             reason,
         };
-        let route = Route::new(&site.lanes, &scenario.ego).map_err(|error| unfit(error.into()))?;
+        let egos = 0..scenario.egos.count();
+        let egos: Vec<DrivenEgo> = egos
+            .map(|ego| driven_ego(scenario, ego, site).map_err(unfit))
+            .collect::<Result<_, _>>()?;
         let lights = TrafficLights::new(&site.lanes, &site.graph, &scenario.lights)
             .map(Arc::new)
             .map_err(|error| unfit(error.into()))?;
@@ -92,76 +81,61 @@ impl Simulation {
             .with_pedestrians(&scenario.pedestrians)
             .and_then(|traffic| traffic.with_story(&scenario.story, &site.lanes))
             .map_err(|error| unfit(error.into()))?;
-        let (start, heading_rad) = route.pose_at(0.0);
-        let recorded = match (scenario.ego.follows_recording, site.recorded_way()) {
-            (false, _) => None,
-            (true, Some(way)) => Some(way.clone()),
-            (true, None) => {
-                let reason = "its ego follows the recording, and the place has none: expected [[ego]] poses in its scene file";
-                return Err(unfit(reason.into()));
-            }
-        };
-        let state = match &recorded {
-            Some(way) => recorded_state(way, 0.0).0,
-            None => {
-                let pose = scenario.ego.start_pose;
-                let [x_m, y_m, yaw_rad] = pose.unwrap_or([start.x, start.y, heading_rad]);
-                VehicleState {
-                    position_m: DVec2::new(x_m, y_m),
-                    yaw_rad,
-                    speed_mps: scenario.ego.speed_mps,
-                    acceleration_mps2: 0.0,
-                }
-            }
-        };
-        let progress = RouteProgress::new(&line_of(&route), state.position_m)
-            .ok_or_else(|| unfit("the route is no line".into()))?;
-        let agent_sizes = scenario.agent_sizes();
-        let ego_box = OrientedBox::for_vehicle(&state, &scenario.ego.size);
-        let touched = boxes(traffic.states(), &agent_sizes)
-            .find(|(_, other)| other.overlaps(&ego_box))
-            .map(|(agent, _)| agent);
-        if let Some(agent) = touched {
-            return Err(unfit(format!(
-                "the ego starts where agent {} stands",
-                scenario.agent(agent).0
-            )));
+        let mut ground_z_m = vec![None; 1 + scenario.agent_count()];
+        let others = ground_z_m.len() - egos.len();
+        for (ego, driven) in egos.iter().enumerate() {
+            let vehicle = if ego == 0 { 0 } else { others + ego };
+            ground_z_m[vehicle] = Some(driven.start_z_m());
         }
-        let hit = site.obstacles.touched(&ego_box);
-        if let Some(obstacle) = hit.filter(|_| recorded.is_none()) {
-            return Err(unfit(format!(
-                "the ego starts in a {} at ({:.1}, {:.1}) m",
-                obstacle.kind.name(),
-                obstacle.center_m.x,
-                obstacle.center_m.y
-            )));
-        }
-        let mut turns = TurnWatch::default();
-        let road = road_at(site, &mut turns, &state);
         let mut simulation = Self {
-            progress,
-            road,
-            turns,
-            route,
-            recorded,
-            ego: Ego::new(state, scenario.ego.size, EgoOptions::default()),
+            egos,
             signals: site.signal_poses(traffic.lights()),
             traffic,
-            agent_sizes,
+            agent_sizes: scenario.agent_sizes(),
             sign_posts: site.sign_poses(&signs),
             signs,
-            ground_z_m: std::iter::once(Some(start.z))
-                .chain((0..scenario.agent_count()).map(|_| None))
-                .collect(),
+            ground_z_m,
             scenario: scenario.clone(),
             site: site.clone(),
             before: (0.0, Vec::new()),
             substep: 0,
-            off_road: (0.0, 0.0),
-            end: None,
         };
+        simulation.check_starts().map_err(unfit)?;
         simulation.settle();
         Ok(simulation)
+    }
+
+    /// Checks that no ego starts in another vehicle or an obstacle. Otherwise a sentence.
+    fn check_starts(&self) -> Result<(), String> {
+        for (index, ego) in self.egos.iter().enumerate() {
+            let who = match self.egos.len() {
+                1 => "the ego".to_owned(),
+                _ => format!("ego {}", self.scenario.ego_identity(index).name),
+            };
+            let outline = ego.outline();
+            let (agents, sizes) = (self.agents_for(index), self.sizes_for(index));
+            let touched = boxes(&agents, &sizes).find(|(_, other)| other.overlaps(&outline));
+            if let Some((agent, _)) = touched {
+                let scenario = self.scenario.for_ego(index);
+                let name = scenario.agent(agent).0;
+                return Err(match agent < self.traffic.states().len() {
+                    true => format!("{who} starts where agent {name} stands"),
+                    false => format!(
+                        "{who} starts where ego {name} stands: expected starts that are farther apart"
+                    ),
+                });
+            }
+            let hit = self.site.obstacles.touched(&outline);
+            if let Some(obstacle) = hit.filter(|_| ego.recorded.is_none()) {
+                return Err(format!(
+                    "{who} starts in a {} at ({:.1}, {:.1}) m",
+                    obstacle.kind.name(),
+                    obstacle.center_m.x,
+                    obstacle.center_m.y
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Scenario that is driven.
@@ -176,44 +150,16 @@ impl Simulation {
         &self.site
     }
 
-    /// Ego vehicle.
-    #[must_use]
-    pub fn ego(&self) -> &Ego {
-        &self.ego
-    }
-
     /// Traffic lights on the lanes of the site, as they are now.
     #[must_use]
     pub fn lights(&self) -> &TrafficLights {
         self.traffic.lights()
     }
 
-    /// Stop lines of the lights that are for the ego's way, among all: not those towards
-    /// successors that its route does not take.
-    pub fn stop_lines(&self) -> impl Iterator<Item = &StopLineRecord> {
-        let lanes: Vec<usize> = self.route.lanes().iter().map(|&(_, lane)| lane).collect();
-        let lines = self.lights().lines().iter();
-        lines
-            .filter(move |line| line.concerns(&lanes))
-            .map(|line| &line.record)
-    }
-
     /// Stop and yield signs on the lanes of the site.
     #[must_use]
     pub fn signs(&self) -> &TrafficSigns {
         &self.signs
-    }
-
-    /// Meters along the route where the ego had come farthest.
-    #[must_use]
-    pub fn progress_m(&self) -> f64 {
-        self.progress.progress_m()
-    }
-
-    /// The ego's way.
-    #[must_use]
-    pub fn route(&self) -> &Route {
-        &self.route
     }
 
     /// Boxes of the agents.
@@ -235,89 +181,128 @@ impl Simulation {
         f64::from(substep) * self.scenario.step_s / f64::from(per_step)
     }
 
-    /// Reason of the end, if it has ended.
+    /// Reason of the end of the first ego, if it has ended.
     #[must_use]
     pub fn end(&self) -> Option<&EpisodeEnd> {
-        self.end.as_ref()
+        self.view(0).end()
     }
 
-    /// Ends it because the planner failed.
-    pub fn fail(&mut self, reason: String) {
-        self.end.get_or_insert(EpisodeEnd::Planner { reason });
-    }
-
-    /// State of all vehicles now.
+    /// True if all egos have ended.
     #[must_use]
-    pub fn instant(&self) -> EpisodeTick {
-        let ego = self.ego.state();
-        EpisodeTick {
-            time_s: self.time_s(),
-            on_road: self.site.surface.holds_box(
-                &OrientedBox::for_vehicle(&ego, &self.scenario.ego.size),
-                RoadSurface::EDGE_M,
-            ),
-            lanes: self.site.surface.lanes_below(&ego),
-            road: Some(self.road),
-            ego,
-            steer_rad: self.ego.steer_rad(),
-            agents: self.traffic.states().to_vec(),
+    pub fn is_over(&self) -> bool {
+        self.egos.iter().all(|ego| ego.end.is_some())
+    }
+
+    /// Ends ego `ego` because its planner failed.
+    pub fn fail(&mut self, ego: usize, reason: String) {
+        let end = (EpisodeEnd::Planner { reason }, self.substep);
+        self.egos[ego].end.get_or_insert(end);
+    }
+
+    /// The world as ego `ego` knows it, from 0 in the order of the scenario.
+    ///
+    /// # Panics
+    /// The view panics if there is no such ego.
+    #[must_use]
+    pub fn view(&self, ego: usize) -> EgoView<'_> {
+        EgoView {
+            simulation: self,
+            index: ego,
         }
     }
 
-    /// Drives `plan` for a step. The moments after each sub-step, the last of them that at which
-    /// the episode ended, if it did.
-    pub fn advance(&mut self, plan: &Plan) -> Vec<EpisodeTick> {
-        self.advance_with(plan, |_| {})
+    /// Number of egos, those that have ended too.
+    #[must_use]
+    pub fn ego_count(&self) -> usize {
+        self.egos.len()
     }
 
-    /// Drives `plan` for a step like [`Self::advance`], and calls `after` at the end of each
-    /// sub-step.
-    pub fn advance_with(&mut self, plan: &Plan, mut after: impl FnMut(&Self)) -> Vec<EpisodeTick> {
+    /// State of all vehicles now, as the first ego sees them.
+    #[must_use]
+    pub fn instant(&self) -> EpisodeTick {
+        self.view(0).instant()
+    }
+
+    /// Drives `plan` of the only ego for a step. The moments after each sub-step, the last of them
+    /// that at which the episode ended, if it did.
+    pub fn advance(&mut self, plan: &Plan) -> Vec<EpisodeTick> {
+        let mut all = self.advance_with(&[Some(plan)], |_| {});
+        all.swap_remove(0)
+    }
+
+    /// Drives the plans of all egos for a step, in the order of the scenario, and calls `after` at
+    /// the end of each sub-step. The moments after each sub-step as each ego sees them, the last of
+    /// them that at which it ended, if it did; none for an ego that had ended before.
+    ///
+    /// An ego without a plan keeps the one that it had.
+    pub fn advance_with(
+        &mut self,
+        plans: &[Option<&Plan>],
+        mut after: impl FnMut(&Self),
+    ) -> Vec<Vec<EpisodeTick>> {
         let (substeps, substep_s) = self.scenario.substeps();
-        self.ego.follow(plan);
-        let mut instants = Vec::with_capacity(substeps as usize);
+        for (ego, plan) in self.egos.iter_mut().zip(plans) {
+            if let Some(plan) = plan {
+                ego.ego.follow(plan);
+            }
+        }
+        let mut instants = vec![Vec::new(); self.egos.len()];
         for substep in 1..=substeps {
-            if self.end.is_some() {
+            if self.is_over() {
                 break;
             }
-            // All act on the previous state: none sees another's step before its own.
-            let seen = self.ego.state();
-            self.before = (substep_s, self.yaws_rad());
-            match &self.recorded {
-                None => self.ego.step(substep_s),
-                Some(way) => {
-                    let (state, yaw_rate_radps) =
-                        recorded_state(way, self.time_at(self.substep + 1));
-                    self.ego.move_to(state, yaw_rate_radps);
-                }
-            }
-            self.traffic
-                .step(substep_s, Some((&seen, &self.scenario.ego.size)));
-            let heights = self.ground_z_m[1..].iter_mut();
-            for (z_m, state) in heights.zip(self.traffic.states()) {
-                *z_m = z_m.filter(|_| state.is_some());
-            }
-            self.substep += 1;
-            self.progress.advance(self.ego.state().position_m);
-            self.road = road_at(&self.site, &mut self.turns, &self.ego.state());
-            let instant = self.instant();
-            self.off_road = if instant.on_road {
-                (0.0, 0.0)
-            } else {
-                let (time_s, way_m) = self.off_road;
-                (
-                    time_s + substep_s,
-                    way_m + instant.ego.speed_mps * substep_s,
-                )
-            };
-            self.end = self.end_at(&instant);
-            if substep == substeps || self.end.is_some() {
+            self.advance_substep(substep_s, &mut instants);
+            if substep == substeps || self.is_over() {
                 self.settle();
             }
-            instants.push(instant);
             after(self);
         }
         instants
+    }
+
+    /// Moves all by a sub-step of `substep_s` seconds, and adds the moment at its end as each ego
+    /// sees it.
+    fn advance_substep(&mut self, substep_s: f64, instants: &mut [Vec<EpisodeTick>]) {
+        // All act on the previous state: none sees another's step before its own.
+        let drives = |ego: &DrivenEgo| ego.end.is_none();
+        let seen: Vec<EgoBox> = self
+            .egos
+            .iter()
+            .map(|ego| drives(ego).then(|| (ego.ego.state(), ego.task.size)))
+            .collect();
+        self.before = (substep_s, self.yaws_rad());
+        let time_s = self.time_at(self.substep + 1);
+        for ego in self.egos.iter_mut().filter(|ego| drives(ego)) {
+            ego.advance(time_s, substep_s);
+        }
+        self.traffic.step_among(substep_s, &seen);
+        self.substep += 1;
+        let is_here: Vec<bool> = self.states().map(|state| state.is_some()).collect();
+        for (z_m, is_here) in self.ground_z_m.iter_mut().zip(is_here) {
+            *z_m = z_m.filter(|_| is_here);
+        }
+        for ego in self.egos.iter_mut().filter(|ego| drives(ego)) {
+            ego.arrive(&self.site, substep_s);
+        }
+        let mut ends = Vec::new();
+        for (index, ego) in self.egos.iter().enumerate().filter(|(_, ego)| drives(ego)) {
+            let instant = self.view(index).instant();
+            let own = ego.end_at(&instant, &self.sizes_for(index), &self.site);
+            ends.extend(own.or_else(|| self.common_end()).map(|end| (index, end)));
+            instants[index].push(instant);
+        }
+        for (index, end) in ends {
+            self.egos[index].end = Some((end, self.substep));
+        }
+    }
+
+    /// Reason for which all egos end now, if there is one.
+    fn common_end(&self) -> Option<EpisodeEnd> {
+        if self.traffic.story_is_over() {
+            return Some(EpisodeEnd::Story);
+        }
+        let (per_step, _) = self.scenario.substeps();
+        (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
     }
 
     /// Recorded agents that were handed over since this was asked last.
@@ -330,14 +315,56 @@ impl Simulation {
         self.traffic.take_light_changes()
     }
 
-    /// Headings of the ego and then of the agents, radians.
-    fn yaws_rad(&self) -> Vec<Option<f64>> {
-        let ego = std::iter::once(Some(self.ego.state()));
-        let states = ego.chain(self.traffic.states().iter().copied());
-        states.map(|state| Some(state?.yaw_rad)).collect()
+    /// State of ego `ego`; `None` where it has ended before this moment, and left.
+    fn ego_state(&self, ego: usize) -> Option<VehicleState> {
+        let driven = &self.egos[ego];
+        let ended = driven.end.as_ref().map(|(_, substep)| *substep);
+        ended
+            .is_none_or(|substep| substep == self.substep)
+            .then(|| driven.ego.state())
     }
 
-    /// Motion of vehicle `vehicle` (0 is the ego) with the pose `pose`: its speed along its
+    /// States of all vehicles, by their numbers.
+    fn states(&self) -> impl Iterator<Item = Option<VehicleState>> {
+        let others = (1..self.egos.len()).map(|ego| self.ego_state(ego));
+        std::iter::once(self.ego_state(0))
+            .chain(self.traffic.states().iter().copied())
+            .chain(others)
+    }
+
+    /// States of the agents as ego `ego` sees them: the first ego has its place among the others.
+    fn agents_for(&self, ego: usize) -> Vec<Option<VehicleState>> {
+        let others = (1..self.egos.len()).map(|other| match other == ego {
+            true => self.ego_state(0),
+            false => self.ego_state(other),
+        });
+        let agents = self.traffic.states().iter().copied();
+        agents.chain(others).collect()
+    }
+
+    /// Boxes of the agents as ego `ego` sees them.
+    fn sizes_for(&self, ego: usize) -> Vec<VehicleSize> {
+        let mut sizes = self.agent_sizes.clone();
+        if ego > 0 {
+            sizes[self.traffic.states().len() + ego - 1] = self.egos[0].task.size;
+        }
+        sizes
+    }
+
+    /// Number of ego `ego` among all vehicles.
+    fn vehicle_of(&self, ego: usize) -> usize {
+        match ego {
+            0 => 0,
+            _ => self.traffic.states().len() + ego,
+        }
+    }
+
+    /// Headings of all vehicles, radians.
+    fn yaws_rad(&self) -> Vec<Option<f64>> {
+        self.states().map(|state| Some(state?.yaw_rad)).collect()
+    }
+
+    /// Motion of vehicle `vehicle` with the pose `pose`: its speed along its
     /// heading, and the yaw rate of the last sub-step.
     fn motion_of(&self, vehicle: usize, state: VehicleState, pose: &Pose) -> Motion {
         let (substep_s, yaws_rad) = &self.before;
@@ -354,105 +381,8 @@ impl Simulation {
         }
     }
 
-    fn end_at(&self, instant: &EpisodeTick) -> Option<EpisodeEnd> {
-        let ego = OrientedBox::for_vehicle(&instant.ego, &self.scenario.ego.size);
-        let mut others = boxes(&instant.agents, &self.agent_sizes);
-        if let Some((agent, _)) = others.find(|(_, other)| other.overlaps(&ego)) {
-            return Some(EpisodeEnd::Collision { agent });
-        }
-        // Where the recording went, nothing was in the way, whatever splats look like.
-        let is_free = self.recorded.is_some();
-        if let Some(&obstacle) = self.site.obstacles.touched(&ego)
-            && !is_free
-        {
-            return Some(EpisodeEnd::Obstacle { obstacle });
-        }
-        if self.progress.is_done() {
-            return Some(EpisodeEnd::RouteDone);
-        }
-        if self.off_road.0 > OFF_ROAD_S && self.off_road.1 > OFF_ROAD_M && !is_free {
-            return Some(EpisodeEnd::OffRoad);
-        }
-        let last_m = self.progress.progress_m();
-        let foot = self.route.project(instant.ego.position_m, last_m);
-        if foot.distance_m > OFF_ROUTE_M {
-            return Some(EpisodeEnd::OffRoute);
-        }
-        if self.traffic.story_is_over() {
-            return Some(EpisodeEnd::Story);
-        }
-        let (per_step, _) = self.scenario.substeps();
-        (self.substep >= self.scenario.steps() * per_step).then_some(EpisodeEnd::Time)
-    }
-
-    /// Puts the agents, the lamps of traffic lights and the signs into `world` as they are now, and
-    /// takes out all others. Returns the ego's pose, world coordinates, and its motion.
-    ///
-    /// # Errors
-    /// Returns an error if the scene of `world` has not the assets.
-    pub fn show(&self, world: &mut World) -> Result<(Pose, Motion), SessionError> {
-        let recorded = self.recorded_pose(self.time_s());
-        let ego =
-            recorded.unwrap_or_else(|| self.pose(0, &self.ego.state(), &self.scenario.ego.size));
-        let mut placed = Vec::with_capacity(self.agent_sizes.len());
-        for index in 0..self.agent_sizes.len() {
-            let Some(state) = self.traffic.states()[index] else {
-                continue;
-            };
-            let (name, kind, asset) = self.scenario.agent(index);
-            let (name, asset) = (name.to_owned(), self.site.asset_of(kind, asset));
-            let pose = self.pose(index + 1, &state, &self.agent_sizes[index]);
-            let instance = AgentInstance {
-                asset,
-                pose,
-                motion: self.motion_of(index + 1, state, &pose),
-                sh_frame: None,
-                instance: u16::try_from(index + 1).unwrap_or(u16::MAX),
-                shines: false,
-            };
-            placed.push((name, instance));
-        }
-        // No agent has such names.
-        let lamps = self
-            .signals
-            .iter()
-            .enumerate()
-            .map(|(index, &(light, pose))| {
-                let color = self.lights().color_at(light, self.time_s());
-                let asset = self.site.signal_asset(color);
-                (format!("signal/{index}"), asset, pose, true)
-            });
-        let signs = self.sign_posts.iter().enumerate();
-        let signs = signs.map(|(index, &(kind, pose))| {
-            (
-                format!("sign/{index}"),
-                self.site.sign_asset(kind),
-                pose,
-                false,
-            )
-        });
-        let first = self.agent_sizes.len() + 1;
-        for (number, (name, asset, pose, shines)) in lamps.chain(signs).enumerate() {
-            let instance = AgentInstance {
-                asset,
-                pose,
-                motion: Motion::REST,
-                sh_frame: None,
-                instance: u16::try_from(first + number).unwrap_or(u16::MAX),
-                shines,
-            };
-            placed.push((name, instance));
-        }
-        world.set_agents(placed)?;
-        let motion = match &self.recorded {
-            None => self.motion_of(0, self.ego.state(), &ego),
-            Some(way) => way.motion_at(way.start_s() + self.time_s()),
-        };
-        Ok((ego, motion))
-    }
-
     /// Height of the lane below an agent, meters: vehicles that enter the map were nowhere before.
-    /// For a pedestrian, the height of the route nearby; for an actor, that of the lane nearby.
+    /// For a pedestrian, the height of the nearest route; for an actor, that of the lane nearby.
     fn lane_z_m(&self, agent: usize) -> f64 {
         if let Some(Some(state)) = self.traffic.states().get(agent)
             && agent >= self.scenario.agents.len() + self.scenario.pedestrians.len()
@@ -470,8 +400,12 @@ impl Simulation {
         if let Some(Some(state)) = self.traffic.states().get(agent)
             && agent >= self.scenario.agents.len()
         {
-            let line = self.route.line();
-            return line.at(line.project(state.position_m).arc_m).z;
+            let feet = self.egos.iter().map(|ego| {
+                let line = ego.route.line();
+                (line, line.project(state.position_m))
+            });
+            let nearest = feet.min_by(|(_, a), (_, b)| a.distance_m.total_cmp(&b.distance_m));
+            return nearest.map_or(0.0, |(line, foot)| line.at(foot.arc_m).z);
         }
         let place = self.traffic.lane_positions().nth(agent).flatten();
         place
@@ -481,17 +415,15 @@ impl Simulation {
 
     /// Finds the ground below all vehicles.
     fn settle(&mut self) {
-        let ego = std::iter::once(Some(self.ego.state()));
-        let states = ego.chain(self.traffic.states().iter().copied());
         let below_m = |(vehicle, state): (usize, Option<VehicleState>)| {
             let at = state?.position_m;
             let near_z_m = self.near_z_m(vehicle);
             Some(self.site.height_at(at, near_z_m).unwrap_or(near_z_m))
         };
-        self.ground_z_m = states.enumerate().map(below_m).collect();
+        self.ground_z_m = self.states().enumerate().map(below_m).collect();
     }
 
-    /// Height near which vehicle `vehicle` (0 is the ego) stands, meters.
+    /// Height near which vehicle `vehicle` stands, meters.
     fn near_z_m(&self, vehicle: usize) -> f64 {
         self.ground_z_m[vehicle].unwrap_or_else(|| self.lane_z_m(vehicle - 1))
     }
@@ -500,21 +432,17 @@ impl Simulation {
     fn pose(&self, vehicle: usize, state: &VehicleState, size: &VehicleSize) -> Pose {
         self.site.pose_of(state, size, self.near_z_m(vehicle))
     }
-
-    /// The route as a line on the plane, meters.
-    #[must_use]
-    pub fn route_m(&self) -> Vec<DVec2> {
-        line_of(&self.route)
-    }
 }
 
-/// Position of an ego on the road, which `turns` has followed until now.
-fn road_at(site: &Site, turns: &mut TurnWatch, ego: &VehicleState) -> RoadRecord {
-    let road = site.parts.record(ego);
-    RoadRecord {
-        wrong_turn: turns.advance(&site.parts, ego, road.in_junction),
-        ..road
-    }
+/// Ego `ego` of `scenario` at its start.
+///
+/// # Errors
+/// A sentence, if its task does not fit `site`.
+fn driven_ego(scenario: &Scenario, ego: usize, site: &Site) -> Result<DrivenEgo, String> {
+    DrivenEgo::new(scenario.ego_task(ego), site).map_err(|reason| match scenario.egos.count() {
+        1 => reason,
+        _ => format!("ego {}: {reason}", scenario.ego_identity(ego).name),
+    })
 }
 
 /// Boxes of the agents that are on the map, with their places in the scenario.
@@ -526,13 +454,4 @@ fn boxes(
     all.filter_map(|(agent, (state, size))| {
         Some((agent, OrientedBox::for_vehicle(state.as_ref()?, size)))
     })
-}
-
-fn line_of(route: &Route) -> Vec<DVec2> {
-    route
-        .line()
-        .points()
-        .iter()
-        .map(|point| point.truncate())
-        .collect()
 }

@@ -301,7 +301,7 @@ impl Part {
 
     /// The traffic of a simulation as a driver of agents sees it after `step` moments.
     fn observed(&self, roads: &Roads, traffic: &Traffic, step: usize) -> AgentsObservation {
-        let agents = traffic.steerable(None);
+        let agents = traffic.steerable(&[]);
         let takes = |index: &usize| {
             agents
                 .binary_search_by_key(index, |agent| agent.agent)

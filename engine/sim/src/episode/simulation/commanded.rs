@@ -1,5 +1,6 @@
 //! Agents that another program drives: what it is told, and its commands.
 
+use decouplegs_drive::traffic::EgoBox;
 use decouplegs_scene::Invalid;
 use decouplegs_scene::episode::{AgentCommand, CommandRecord};
 
@@ -10,20 +11,21 @@ impl Simulation {
     /// Traffic as a driver of agents sees it before step `step`.
     #[must_use]
     pub fn agents_observation(&self, step: u32) -> AgentsObservation {
-        let (ego, size) = (self.ego.state(), self.scenario.ego.size);
-        let agents = self.traffic.steerable(Some((&ego, &size)));
+        let there = |ego: usize| Some((self.ego_state(ego)?, self.egos[ego].task.size));
+        let egos: Vec<EgoBox> = (0..self.egos.len()).map(there).collect();
+        let agents = self.traffic.steerable(&egos);
         let takes = |index: &usize| {
             agents
                 .binary_search_by_key(index, |agent| agent.agent)
                 .is_ok()
         };
-        let states = self.traffic.states().iter().enumerate();
-        let others = states.filter_map(|(index, state)| Some((index, (*state)?)));
+        let states = self.agents_for(0).into_iter().enumerate();
+        let others = states.filter_map(|(index, state)| Some((index, state?)));
         let lines = self.lights().lines().iter();
         AgentsObservation {
             step,
             time_s: self.time_s(),
-            ego: Some((ego, size)),
+            ego: egos[0],
             others: others.filter(|(index, _)| !takes(index)).collect(),
             stop_lines: lines
                 .map(|line| {

@@ -3,15 +3,15 @@
 use decouplegs_scene::{Pose, Trajectory, VehicleState};
 use glam::DVec3;
 
-use super::Simulation;
+use super::EgoView;
 
 /// Time over which the acceleration of a recorded vehicle is taken, seconds.
 const RECORDED_S: f64 = 0.2;
 
-impl Simulation {
+impl EgoView<'_> {
     /// Pose of an ego that follows the recording, `time_s` seconds after its start.
     pub(super) fn recorded_pose(&self, time_s: f64) -> Option<Pose> {
-        let way = self.recorded.as_ref()?;
+        let way = self.driven().recorded.as_ref()?;
         Some(way.at(way.start_s() + time_s))
     }
 }

@@ -1,30 +1,31 @@
 //! Inputs of planners other than images: motion, navigation, localization, privileged state.
 
-use decouplegs_scene::episode::EpisodeTick;
+use decouplegs_scene::episode::{EpisodeTick, StopLineRecord};
+use decouplegs_scene::{VehicleSize, VehicleState};
 
-use super::Simulation;
+use super::EgoView;
 use crate::planner::{
     EgoMotion, KnownAgent, Localization, LocatedEgo, Navigation, Privileged, Turn,
 };
 
-impl Simulation {
+impl EgoView<'_> {
     /// Ego motion as the vehicle knows it.
     #[must_use]
     pub fn motion(&self) -> EgoMotion {
-        let state = self.ego.state();
+        let state = self.ego().state();
         EgoMotion {
             speed_mps: state.speed_mps,
             acceleration_mps2: state.acceleration_mps2,
-            steer_rad: self.ego.steer_rad(),
-            yaw_rate_radps: self.ego.yaw_rate_radps(),
+            steer_rad: self.ego().steer_rad(),
+            yaw_rate_radps: self.ego().yaw_rate_radps(),
         }
     }
 
     /// Navigation instructions.
     #[must_use]
     pub fn guidance(&self) -> Navigation {
-        let (progress_m, cruise_mps) = (self.progress.progress_m(), self.scenario.ego.cruise_mps);
-        match self.route.next_turn(progress_m) {
+        let (progress_m, cruise_mps) = (self.progress_m(), self.task().cruise_mps);
+        match self.route().next_turn(progress_m) {
             Some(turn) => Navigation {
                 turn: if turn.angle_rad > 0.0 {
                     Turn::Left
@@ -37,7 +38,7 @@ impl Simulation {
                 cruise_mps,
             },
             None => Navigation {
-                distance_m: self.route.length_m() - progress_m,
+                distance_m: self.route().length_m() - progress_m,
                 cruise_mps,
                 ..Navigation::default()
             },
@@ -48,25 +49,27 @@ impl Simulation {
     /// ahead. On a map without heights, the route is as high as the ground below the ego.
     #[must_use]
     pub fn localization(&self, driven: &[EpisodeTick]) -> Localization {
-        let (route, size) = (&self.route, &self.scenario.ego.size);
+        let (route, size) = (self.route(), &self.task().size);
+        let vehicle = self.simulation.vehicle_of(self.index);
         let at_m = |tick: &EpisodeTick| {
-            let foot = route.project(tick.ego.position_m, self.progress.progress_m());
+            let foot = route.project(tick.ego.position_m, self.progress_m());
             foot.arc_m
         };
         let route_z_m = |along_m: f64| route.has_height().then(|| route.pose_at(along_m).0.z);
         let located = |tick: &EpisodeTick| {
-            let near_z_m = route_z_m(at_m(tick)).unwrap_or_else(|| self.near_z_m(0));
+            let near_z_m =
+                route_z_m(at_m(tick)).unwrap_or_else(|| self.simulation.near_z_m(vehicle));
             LocatedEgo {
                 time_s: tick.time_s,
                 pose: self
                     .recorded_pose(tick.time_s)
-                    .unwrap_or_else(|| self.site.pose_of(&tick.ego, size, near_z_m)),
+                    .unwrap_or_else(|| self.simulation.site.pose_of(&tick.ego, size, near_z_m)),
                 state: tick.ego,
                 motion: EgoMotion {
                     speed_mps: tick.ego.speed_mps,
                     acceleration_mps2: tick.ego.acceleration_mps2,
                     steer_rad: tick.steer_rad,
-                    yaw_rate_radps: self.ego.yaw_rate_at(tick.ego.speed_mps, tick.steer_rad),
+                    yaw_rate_radps: self.ego().yaw_rate_at(tick.ego.speed_mps, tick.steer_rad),
                 },
             }
         };
@@ -90,33 +93,36 @@ impl Simulation {
     /// Privileged state, which no camera shows.
     #[must_use]
     pub fn privileged(&self) -> Privileged {
+        let simulation = self.simulation;
+        let agents = simulation.agents_for(self.index);
+        let sizes = self.agent_sizes();
+        let known = |(index, (state, &size)): (usize, (&Option<VehicleState>, &VehicleSize))| {
+            Some(KnownAgent {
+                kind: simulation.scenario.agent(index).1,
+                state: (*state)?,
+                size,
+            })
+        };
+        let color = |line: &StopLineRecord| {
+            let lights = simulation.lights();
+            lights.color_at(line.index, simulation.time_s())
+        };
+        let signs = &simulation.signs;
         Privileged {
-            ego: self.ego.state(),
-            ego_size: self.scenario.ego.size,
+            ego: self.ego().state(),
+            ego_size: self.task().size,
             route_m: self.route_m(),
-            agents: self
-                .traffic
-                .states()
+            agents: agents
                 .iter()
-                .zip(&self.agent_sizes)
+                .zip(&sizes)
                 .enumerate()
-                .filter_map(|(index, (state, &size))| {
-                    Some(KnownAgent {
-                        kind: self.scenario.agent(index).1,
-                        state: (*state)?,
-                        size,
-                    })
-                })
+                .filter_map(known)
                 .collect(),
-            stop_lines: self
-                .stop_lines()
-                .map(|&line| (line, self.lights().color_at(line.index, self.time_s())))
-                .collect(),
-            signs: self
-                .signs
+            stop_lines: self.stop_lines().map(|line| (*line, color(line))).collect(),
+            signs: signs
                 .lines()
                 .iter()
-                .map(|line| (line.record, self.signs.kind(line.record.index)))
+                .map(|line| (line.record, signs.kind(line.record.index)))
                 .collect(),
         }
     }
