@@ -576,6 +576,17 @@ fn scenarios_of_a_run_can_all_be_won_where_that_is_asked_for() {
     assert!(won < 8, "{won} of 8");
     let (won, first) = run("winnable", &["--winnable"]);
     assert_eq!(won, 8);
+    let measured = fs::read(folder.path().join("winnable/difficulty.json")).unwrap();
+    let measured: Value = serde_json::from_slice(&measured).unwrap();
+    let measured = measured.as_object().unwrap();
+    assert_eq!(measured.len(), 8);
+    for (name, one) in measured {
+        assert_eq!(one["won"]["lane-follow"], true, "{name}");
+        assert_eq!(one["won"].as_object().unwrap().len(), 3, "{name}");
+    }
+    let reaction_s = |one: &Value| one["reaction_s"].as_f64();
+    assert!(measured.values().filter_map(reaction_s).count() > 0);
+    assert!(!folder.path().join("any/difficulty.json").exists());
     let (_, again) = run("again", &["--winnable", "--workers", "2"]);
     assert!(first == again, "the same seed gives the same scenarios");
 }

@@ -13,7 +13,7 @@ use decouplegs::planner::{
 use decouplegs::scene::plan::PlanPoint;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{EpisodeEnd, Level, Plan, Scenario, Weather};
-use decouplegs::winnable::is_winnable;
+use decouplegs::winnable::{MeasuredDifficulty, is_winnable};
 
 fn street() -> Arc<Site> {
     let place = Place::Street {
@@ -70,6 +70,15 @@ fn scenarios_that_nobody_can_win_are_told_and_have_others_in_their_place() {
     let mut planner = LaneFollow::default();
     let driven = drive(&other, &site, None, &mut planner, &mut ()).unwrap();
     assert!(EpisodeScore::new(&driven.episode).success);
+    let measured = MeasuredDifficulty::new(&other, &site).unwrap();
+    assert!(measured.won[0] && measured.lost_share() < 1.0);
+    let nobody = Scenario {
+        agents: vec![],
+        ..other.clone()
+    };
+    let alone = MeasuredDifficulty::new(&nobody, &site).unwrap();
+    assert_eq!((alone.reaction_s, alone.interactions), (None, 0.0));
+    assert!(measured.interactions > 0.0 && measured.reaction_s.is_some());
     // No time to spare is not enough.
     let finished_s = driven.episode.steps.len() as f64 * other.step_s;
     let tight = Scenario {

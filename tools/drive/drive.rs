@@ -1,5 +1,6 @@
 //! `decouplegs drive`: episodes in closed loop.
 
+mod difficulty;
 mod egos;
 mod episode_queue;
 mod folder;
@@ -89,8 +90,8 @@ pub struct Arguments {
     follow_recording: bool,
     #[command(flatten)]
     tracks: tracks::TrackArguments,
-    /// Planner: constant-velocity, lane-follow, vision, learned, learned:FILE, replay:LOG,
-    /// exec:COMMAND, unix:SOCKET, or egodriver://HOST:PORT, a driver of AlpaSim
+    /// Planner: constant-velocity, lane-follow, lane-follow-cautious, lane-follow-brisk, vision,
+    /// learned, learned:FILE, replay:LOG, exec:COMMAND, unix:SOCKET, or egodriver://HOST:PORT, a driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
     /// Planner of one of the egos of a scenario, by the name of the ego. May be repeated. Egos

@@ -8,7 +8,7 @@ use clap::Parser;
 use decouplegs::asset::{SplatFormat, is_scene_file};
 use decouplegs::episode::{Appearance, Site};
 use decouplegs::logs::{read_episode_log, read_scenario};
-use decouplegs::planner::PlannerChoice;
+use decouplegs::planner::{DrivingStyle, PlannerChoice};
 use decouplegs::scene::Scenario;
 use decouplegs::scene::episode::Episode;
 use decouplegs::session::Session;
@@ -136,7 +136,9 @@ impl SourceArguments {
             }
             Input::Scenario(scenario) => {
                 let planner = self.planner.clone();
-                let planner = planner.unwrap_or(PlannerName::Engine(PlannerChoice::LaneFollow));
+                let planner = planner.unwrap_or(PlannerName::Engine(PlannerChoice::LaneFollow(
+                    DrivingStyle::Normal,
+                )));
                 self.episodes(&path, &Start::Live(scenario, planner), session)?
             }
         };

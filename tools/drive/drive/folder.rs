@@ -70,6 +70,7 @@ impl RunFolder {
         // What stays does no harm.
         let _ = fs::remove_dir_all(self.root.join("scenarios"));
         let _ = fs::remove_dir(self.root.join("logs"));
+        let _ = fs::remove_file(self.difficulty());
         let _ = fs::remove_file(self.root.join("run.json"));
         let _ = fs::remove_file(self.root.join(LOCK));
         let _ = fs::remove_dir(&self.root);
@@ -77,6 +78,11 @@ impl RunFolder {
 
     pub fn scenario(&self, name: &str) -> PathBuf {
         self.root.join("scenarios").join(format!("{name}.toml"))
+    }
+
+    /// Difficulty of the scenarios, as it was measured.
+    pub fn difficulty(&self) -> PathBuf {
+        self.root.join("difficulty.json")
     }
 
     pub fn log(&self, name: &str) -> PathBuf {

@@ -13,6 +13,7 @@ use decouplegs::scene::{Level, Scenario};
 use decouplegs::winnable::is_winnable;
 use rayon::prelude::*;
 
+use super::difficulty;
 use super::folder::RunFolder;
 use super::jobs::{Job, stepped};
 use super::{Arguments, RoadUsers, TrafficLights};
@@ -72,7 +73,7 @@ pub fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> 
             lost: None,
         })
     };
-    let jobs = places.par_iter().map(job).collect();
+    let jobs: Vec<Job> = places.par_iter().map(job).collect::<Result<_>>()?;
     bar.finish_and_clear();
     let replaced = replaced.into_inner();
     if replaced > 0 {
@@ -81,7 +82,10 @@ pub fn generated(arguments: &Arguments, folder: &RunFolder) -> Result<Vec<Job>> 
             places.len()
         ));
     }
-    jobs
+    if arguments.winnable {
+        difficulty::tell(&jobs, &site, folder)?;
+    }
+    Ok(jobs)
 }
 
 /// Scenario `index` of `level`, and whether it stands in the place of one that cannot be won.

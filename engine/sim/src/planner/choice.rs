@@ -7,7 +7,9 @@ use std::str::FromStr;
 use decouplegs_logs::read_episode_log;
 
 use super::external::{External, Timeouts, Transport};
-use super::{ConstantVelocity, LaneFollow, Learned, Planner, PlannerError, Replay, Vision};
+use super::{
+    ConstantVelocity, DrivingStyle, LaneFollow, Learned, Planner, PlannerError, Replay, Vision,
+};
 
 /// Choice of a planner. It can be opened many times over: each thread that drives episodes has a
 /// planner of its own.
@@ -15,7 +17,7 @@ use super::{ConstantVelocity, LaneFollow, Learned, Planner, PlannerError, Replay
 /// | text | planner |
 /// |---|---|
 /// | `constant-velocity` | [`ConstantVelocity`] |
-/// | `lane-follow` | [`LaneFollow`] |
+/// | `lane-follow`, `lane-follow-cautious`, `lane-follow-brisk` | [`LaneFollow`], by its style |
 /// | `vision` | [`Vision`] |
 /// | `learned` | [`Learned`] |
 /// | `learned:FILE` | [`Learned`] with the network in this file |
@@ -27,7 +29,7 @@ pub enum PlannerChoice {
     /// Planner that drives straight on.
     ConstantVelocity,
     /// Privileged planner that follows lanes.
-    LaneFollow,
+    LaneFollow(DrivingStyle),
     /// Planner that drives by camera images.
     Vision,
     /// Planner that learned to drive by camera images, with the network in this file; `None` for
@@ -48,7 +50,7 @@ impl PlannerChoice {
     pub fn open(&self, patience: Timeouts) -> Result<Box<dyn Planner>, PlannerError> {
         Ok(match self {
             Self::ConstantVelocity => Box::new(ConstantVelocity),
-            Self::LaneFollow => Box::new(LaneFollow::default()),
+            Self::LaneFollow(style) => Box::new(LaneFollow::new(*style)),
             Self::Vision => Box::new(Vision::default()),
             Self::Learned(None) => Box::new(Learned::default()),
             Self::Learned(Some(file)) => Box::new(Learned::from_file(file)?),
@@ -69,9 +71,12 @@ impl FromStr for PlannerChoice {
         let (kind, rest) = text
             .split_once(':')
             .map_or((text, None), |(kind, rest)| (kind, Some(rest)));
+        let style = DrivingStyle::by_name(kind).filter(|_| rest.is_none());
+        if let Some(style) = style {
+            return Ok(Self::LaneFollow(style));
+        }
         match (kind, rest) {
             ("constant-velocity", None) => Ok(Self::ConstantVelocity),
-            ("lane-follow", None) => Ok(Self::LaneFollow),
             ("vision", None) => Ok(Self::Vision),
             ("learned", None) => Ok(Self::Learned(None)),
             ("learned", Some(file)) if !file.is_empty() => Ok(Self::Learned(Some(file.into()))),
@@ -86,7 +91,7 @@ impl FromStr for PlannerChoice {
                 words => Ok(Self::External(Transport::Command(words))),
             },
             _ => Err(format!(
-                "unknown planner {text:?}; expected constant-velocity, lane-follow, vision, learned, learned:FILE, replay:LOG, exec:COMMAND ARGUMENTS or unix:PATH"
+                "unknown planner {text:?}; expected constant-velocity, lane-follow, lane-follow-cautious, lane-follow-brisk, vision, learned, learned:FILE, replay:LOG, exec:COMMAND ARGUMENTS or unix:PATH"
             )),
         }
     }
@@ -96,7 +101,7 @@ impl fmt::Display for PlannerChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::ConstantVelocity => f.write_str("constant-velocity"),
-            Self::LaneFollow => f.write_str("lane-follow"),
+            Self::LaneFollow(style) => f.write_str(style.name()),
             Self::Vision => f.write_str("vision"),
             Self::Learned(None) => f.write_str("learned"),
             Self::Learned(Some(file)) => write!(f, "learned:{}", file.display()),
@@ -161,6 +166,8 @@ mod tests {
         let texts = [
             "constant-velocity",
             "lane-follow",
+            "lane-follow-cautious",
+            "lane-follow-brisk",
             "vision",
             "learned",
             "learned:a b.safetensors",
@@ -195,7 +202,7 @@ mod tests {
         ] {
             let refusal = text.parse::<PlannerChoice>().unwrap_err();
             assert!(
-                refusal.contains("expected constant-velocity, lane-follow, vision, learned, learned:FILE, replay:LOG"),
+                refusal.contains("expected constant-velocity, lane-follow, lane-follow-cautious, lane-follow-brisk, vision, learned, learned:FILE, replay:LOG"),
                 "{refusal}"
             );
         }

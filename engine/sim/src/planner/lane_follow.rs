@@ -18,28 +18,106 @@ use super::{
 
 /// Sideways acceleration that is borne in bends.
 const LATERAL_MPS2: f64 = 2.0;
-/// Deceleration for curves and, with comfort, for others.
-const COMFORT_MPS2: f64 = 2.0;
-/// Acceleration: livelier than Treiber's 1 m/s^2, as the ego has a route to finish.
-const ACCELERATION_MPS2: f64 = 1.5;
-/// Headway to the vehicle ahead, seconds.
-const HEADWAY_S: f64 = 1.5;
+/// Deceleration for curves.
+const BEND_MPS2: f64 = 2.0;
 /// Time step of the prediction, seconds.
 const TICK_S: f64 = 0.2;
 /// A vehicle that will be on the strip within this time is followed as if it were there, seconds.
 const FORESIGHT_S: f64 = 2.0;
-/// Time by which a crossing vehicle may be earlier or later, seconds, and room that it is given,
-/// meters.
-const CROSSING_S: f64 = 0.6;
+/// Room that a crossing vehicle is given, meters.
 const CROSSING_M: f64 = 1.0;
 /// Being off the route's middle decays along this much of it, meters.
 const RETURN_M: f64 = 8.0;
 /// Ways to slow down that are tried, the most comfortable first.
 const BRAKES_MPS2: [f64; 6] = [0.0, 1.0, 2.0, 3.5, 5.0, BRAKING_MPS2];
 
+/// Driving style of [`LaneFollow`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DrivingStyle {
+    /// Headway of 1.5 s, and the cruise speed.
+    #[default]
+    Normal,
+    /// Headway of 2.2 s, 85 % of the cruise speed, earlier and softer braking, more time before
+    /// whoever crosses.
+    Cautious,
+    /// Headway of 1 s, later and harder braking, less time before whoever crosses. It is told of
+    /// others one observation late.
+    Brisk,
+}
+
+impl DrivingStyle {
+    /// All styles.
+    pub const ALL: [Self; 3] = [Self::Normal, Self::Cautious, Self::Brisk];
+
+    /// Name of the planner of this style.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Normal => "lane-follow",
+            Self::Cautious => "lane-follow-cautious",
+            Self::Brisk => "lane-follow-brisk",
+        }
+    }
+
+    /// Style of the planner of this name.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|style| style.name() == name)
+    }
+
+    const fn parameters(self) -> StyleParameters {
+        let normal = StyleParameters {
+            headway_s: 1.5,
+            acceleration_mps2: 1.5,
+            comfort_mps2: 2.0,
+            cruise_share: 1.0,
+            crossing_s: 0.6,
+            is_late: false,
+        };
+        match self {
+            Self::Normal => normal,
+            Self::Cautious => StyleParameters {
+                headway_s: 2.2,
+                comfort_mps2: 1.5,
+                cruise_share: 0.85,
+                crossing_s: 1.0,
+                ..normal
+            },
+            Self::Brisk => StyleParameters {
+                headway_s: 1.0,
+                acceleration_mps2: 2.0,
+                comfort_mps2: 3.0,
+                crossing_s: 0.4,
+                is_late: true,
+                ..normal
+            },
+        }
+    }
+}
+
+/// Numbers of a driving style.
+#[derive(Clone, Copy, Debug)]
+struct StyleParameters {
+    /// Headway to the vehicle ahead, seconds.
+    headway_s: f64,
+    /// Acceleration: livelier than Treiber's 1 m/s^2, as the ego has a route to finish.
+    acceleration_mps2: f64,
+    /// Deceleration for others, with comfort.
+    comfort_mps2: f64,
+    /// Share of the cruise speed that is driven.
+    cruise_share: f64,
+    /// Time by which a crossing vehicle may be earlier or later, seconds.
+    crossing_s: f64,
+    /// True if it drives by the agents of the observation before.
+    is_late: bool,
+}
+
 /// Follows the lanes of its route. Privileged: it is told the states of all vehicles.
 #[derive(Clone, Debug, Default)]
 pub struct LaneFollow {
+    style: DrivingStyle,
+    /// Agents of the last observation, for a style that is late.
+    seen: Option<Vec<KnownAgent>>,
     /// Position along the route at the last observation, meters.
     arc_m: Option<f64>,
     /// Stop line at which it stops, meters along the route.
@@ -59,6 +137,8 @@ struct Outlook {
     ego_arc_m: f64,
     half_length_m: f64,
     idm: IdmParameters,
+    /// Time by which a crossing vehicle may be earlier or later, seconds.
+    crossing_s: f64,
     /// Stop line at which it stops, meters along the route.
     hold_m: Option<f64>,
     /// Highest speed at each meter ahead.
@@ -72,9 +152,20 @@ struct Candidate {
     met_s: Option<f64>,
 }
 
+impl LaneFollow {
+    /// A planner of this style.
+    #[must_use]
+    pub fn new(style: DrivingStyle) -> Self {
+        Self {
+            style,
+            ..Self::default()
+        }
+    }
+}
+
 impl Planner for LaneFollow {
     fn name(&self) -> String {
-        "lane-follow".into()
+        self.style.name().into()
     }
 
     fn sees(&self) -> ObservationRequest {
@@ -90,12 +181,12 @@ impl Planner for LaneFollow {
     }
 
     fn begin(&mut self, _: &EpisodeInfo) -> Result<(), PlannerError> {
-        *self = Self::default();
+        *self = Self::new(self.style);
         Ok(())
     }
 
     fn plan(&mut self, observation: &Observation) -> Result<Plan, PlannerError> {
-        let known = state_needed(observation, "lane-follow")?;
+        let known = state_needed(observation, self.style.name())?;
         let corridor = Corridor::new(
             &known.route_m,
             known.ego.position_m,
@@ -110,8 +201,14 @@ impl Planner for LaneFollow {
         self.hold_m = light_m;
         let sign_m = signs::hold_m(&corridor, known, &mut self.stood_m);
         let hold_m = light_m.into_iter().chain(sign_m).min_by(f64::total_cmp);
-        let cruise_mps = observation.guidance.cruise_mps;
-        let outlook = Outlook::new(&corridor, known, cruise_mps, hold_m);
+        let style = self.style.parameters();
+        let cruise_mps = style.cruise_share * observation.guidance.cruise_mps;
+        let before = style
+            .is_late
+            .then(|| self.seen.replace(known.agents.clone()))
+            .flatten();
+        let agents = before.as_ref().unwrap_or(&known.agents);
+        let outlook = Outlook::new(&corridor, (known, agents), (style, cruise_mps), hold_m);
         let course = outlook.choose(known.ego.speed_mps);
         plan_through(|time_s| {
             let arc_m = course.at(time_s);
@@ -128,10 +225,15 @@ fn ticks() -> usize {
 }
 
 impl Outlook {
-    fn new(corridor: &Corridor, known: &Privileged, cruise_mps: f64, hold_m: Option<f64>) -> Self {
+    fn new(
+        corridor: &Corridor,
+        (known, agents): (&Privileged, &[KnownAgent]),
+        (style, cruise_mps): (StyleParameters, f64),
+        hold_m: Option<f64>,
+    ) -> Self {
         let times_s: Vec<f64> = (0..ticks()).map(|tick| tick as f64 * TICK_S).collect();
         let near = |speed_mps: f64| 40.0 + HORIZON_S * (known.ego.speed_mps + speed_mps);
-        let agents = known.agents.iter().filter(|KnownAgent { state, .. }| {
+        let agents = agents.iter().filter(|KnownAgent { state, .. }| {
             state.position_m.distance(known.ego.position_m) < near(state.speed_mps)
         });
         let agents = agents.map(|KnownAgent { state, size, .. }| {
@@ -145,11 +247,12 @@ impl Outlook {
             half_length_m: 0.5 * known.ego_size.length_m,
             idm: IdmParameters {
                 speed_mps: cruise_mps,
-                headway_s: HEADWAY_S,
-                acceleration_mps2: ACCELERATION_MPS2,
-                braking_mps2: COMFORT_MPS2,
+                headway_s: style.headway_s,
+                acceleration_mps2: style.acceleration_mps2,
+                braking_mps2: style.comfort_mps2,
                 ..IdmParameters::default()
             },
+            crossing_s: style.crossing_s,
             hold_m,
             bend_mps: bend_speeds(corridor, known.ego.speed_mps.max(cruise_mps)),
             // Vehicles behind on the same road watch the ego, not the ego them.
@@ -258,7 +361,7 @@ impl Outlook {
     fn meets(&self, agent: &Expected, tick: usize, arc_m: f64) -> bool {
         let crossing = agent.way == PredictedPath::Across;
         let slack = if crossing {
-            (CROSSING_S / TICK_S).round() as usize
+            (self.crossing_s / TICK_S).round() as usize
         } else {
             0
         };
@@ -283,8 +386,8 @@ impl Candidate {
 
 /// The highest speed at each meter ahead from which every bend is still reached slowly enough.
 fn bend_speeds(corridor: &Corridor, speed_mps: f64) -> Vec<f64> {
-    let count = (HORIZON_S * speed_mps + 0.5 * speed_mps * speed_mps / COMFORT_MPS2)
-        .clamp(1.0, 400.0) as usize
+    let count = (HORIZON_S * speed_mps + 0.5 * speed_mps * speed_mps / BEND_MPS2).clamp(1.0, 400.0)
+        as usize
         + 1;
     let bend = |meter: usize| {
         (LATERAL_MPS2
@@ -295,7 +398,7 @@ fn bend_speeds(corridor: &Corridor, speed_mps: f64) -> Vec<f64> {
     };
     let mut speeds: Vec<f64> = (0..=count).map(bend).collect();
     for meter in (0..count).rev() {
-        let reached_mps = (speeds[meter + 1].powi(2) + 2.0 * COMFORT_MPS2).sqrt();
+        let reached_mps = (speeds[meter + 1].powi(2) + 2.0 * BEND_MPS2).sqrt();
         speeds[meter] = speeds[meter].min(reached_mps);
     }
     speeds

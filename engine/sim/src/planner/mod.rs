@@ -18,7 +18,7 @@ pub use cadence::plan_through;
 pub use choice::PlannerChoice;
 pub use constant_velocity::ConstantVelocity;
 pub use external::{External, ExternalAgents, Timeouts, Transport, observation_json};
-pub use lane_follow::LaneFollow;
+pub use lane_follow::{DrivingStyle, LaneFollow};
 pub use learned::Learned;
 pub use replay::Replay;
 pub use vision::{Perception, Vision};
