@@ -91,7 +91,8 @@ pub struct Arguments {
     #[command(flatten)]
     tracks: tracks::TrackArguments,
     /// Planner: constant-velocity, lane-follow, lane-follow-cautious, lane-follow-brisk, vision,
-    /// learned, learned:FILE, replay:LOG, exec:COMMAND, unix:SOCKET, or egodriver://HOST:PORT, a driver of AlpaSim
+    /// learned, learned:FILE, replay:LOG, exec:COMMAND, unix:SOCKET, or egodriver://HOST:PORT, a
+    /// driver of AlpaSim
     #[arg(long, value_name = "PLANNER")]
     planner: PlannerName,
     /// Planner of one of the egos of a scenario, by the name of the ego. May be repeated. Egos

@@ -125,6 +125,13 @@ pub fn text(scored: &[Scored]) -> Result<String> {
             format!("{}/{}", set.red_lights, set.stop_signs),
         ));
     }
+    let all = rows(&summary(scored)?).into_iter().last();
+    if let Some((_, set)) = all.filter(|(_, set)| set.unavoidable_collisions > 0) {
+        text.push_str(&format!(
+            "{} of {} collisions could not be avoided by braking\n",
+            set.unavoidable_collisions, set.collisions
+        ));
+    }
     text.push_str(&rules::text(scored));
     text.push_str(&egos::text(scored));
     Ok(text)
@@ -262,6 +269,7 @@ fn set_to_json(set: &SetSummary) -> Value {
         "ttc_short_share": moments(&set.ttc_short_share),
         "collisions": set.collisions,
         "collisions_at_fault": set.collisions_at_fault,
+        "unavoidable_collisions": set.unavoidable_collisions,
         "pedestrian_collisions": set.pedestrian_collisions,
         "obstacle_collisions": set.obstacle_collisions,
         "layout_infractions": set.layout_infractions,
@@ -294,9 +302,14 @@ fn episode_to_json(scored: &Scored) -> Value {
     let scenario = &scored.head.scenario;
     let place_m = |infraction: &Infraction| scored.place_m(infraction.time_s).to_array();
     let infraction = |infraction: &Infraction| match infraction.kind {
-        InfractionKind::Collision { agent, user, fault } => json!({
+        InfractionKind::Collision {
+            agent,
+            user,
+            fault,
+            is_avoidable,
+        } => json!({
             "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "collision", "agent": scenario.agent(agent).0, "road_user": user.name(),
-            "at_fault": fault.at_fault(), "why": fault.why(),
+            "at_fault": fault.at_fault(), "why": fault.why(), "avoidable": is_avoidable,
         }),
         InfractionKind::Obstacle { kind } => json!({
             "time_s": infraction.time_s, "place_m": place_m(infraction), "kind": "obstacle", "object": kind.name(), "at_fault": true,

@@ -11,6 +11,7 @@
 use decouplegs_scene::episode::EpisodeHead;
 use decouplegs_scene::{Episode, EpisodeEnd, Level, RoadUser};
 
+mod avoidable;
 mod comfort;
 mod commanded;
 mod conduct;
@@ -178,6 +179,20 @@ impl EpisodeScore {
     #[must_use]
     pub fn collisions(&self) -> usize {
         self.count(|kind| matches!(kind, InfractionKind::Collision { .. }))
+    }
+
+    /// Collisions that no braking of the ego could avoid, regardless of fault.
+    #[must_use]
+    pub fn unavoidable_collisions(&self) -> usize {
+        self.count(|kind| {
+            matches!(
+                kind,
+                InfractionKind::Collision {
+                    is_avoidable: false,
+                    ..
+                }
+            )
+        })
     }
 
     /// Collisions with pedestrians, regardless of fault.

@@ -105,6 +105,7 @@ fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
         "TTC < 1.5 s",
         "collisions",
         "at fault",
+        "unavoidable",
         "pedestrians",
         "static",
         "off-road",
@@ -124,6 +125,7 @@ fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
             format!("{:.1} %", 100.0 * set.ttc_short_share.mean),
             set.collisions.to_string(),
             set.collisions_at_fault.to_string(),
+            set.unavoidable_collisions.to_string(),
             set.pedestrian_collisions.to_string(),
             set.obstacle_collisions.to_string(),
             set.layout_infractions.to_string(),
@@ -138,7 +140,8 @@ fn table(page: &mut Page, scored: &[Scored]) -> Result<()> {
          RC times 0.60 for a collision at fault, 0.65 for one with something static, 0.65 for each time the ego left the road, 0.50 for \
          more than 2 m within a second against the direction of the lane and 0 for more than 6 m (as in nuPlan), 0.70 for \
          each red light that it ran, 0.80 for each stop sign that it passed without standing, and 0.50 instead of 0.60 for a pedestrian. \
-         A collision that was not the ego's fault takes nothing: the route counts as completed in DS. PDMS of an episode is NAVSIM's \
+         A collision that was not the ego's fault takes nothing: the route counts as completed in DS. Unavoidable: braking with 8 m/s^2 along its \
+         way would not have helped the ego at any moment at which it would touch the other within 2.5 s at the velocities of that moment. PDMS of an episode is NAVSIM's \
          formula, taken from what was driven. SR, success rate: share of episodes that came to the end of the route without any of them, so SR <= RC. minTTC: \
          least time until the boxes of the ego and an agent would touch if both kept their velocities, within 10 s, over the episodes that \
          were on course for a collision at all, whose number is beside it.",

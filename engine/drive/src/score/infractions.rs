@@ -6,6 +6,7 @@ use decouplegs_scene::episode::{EpisodeHead, EpisodeTick, StopLineRecord};
 use decouplegs_scene::{Episode, EpisodeEnd, LightColor, ObstacleKind, RoadUser, SignKind};
 use glam::DVec2;
 
+use super::avoidable::is_avoidable;
 use super::fault::{Fault, fault};
 use super::{
     COLLISION_FACTOR, LAYOUT_FACTOR, OBSTACLE_FACTOR, PEDESTRIAN_FACTOR, RED_LIGHT_FACTOR,
@@ -45,6 +46,9 @@ pub enum InfractionKind {
         user: RoadUser,
         /// Fault, and the reason.
         fault: Fault,
+        /// False if no braking of the ego would have helped, from the moment on at which the agent
+        /// was in its way.
+        is_avoidable: bool,
     },
     /// The ego's box touches something static.
     Obstacle {
@@ -87,9 +91,19 @@ impl Infraction {
                 format!("stop sign on lane {}", head.scenario.signs[sign].line.lane)
             }
             InfractionKind::Obstacle { kind } => format!("collision with a {}", kind.name()),
-            InfractionKind::Collision { agent, fault, .. } => {
+            InfractionKind::Collision {
+                agent,
+                fault,
+                is_avoidable,
+                ..
+            } => {
                 let name = head.scenario.agent(agent).0;
-                format!("collision with {name}, {}", fault.why())
+                let braking = if is_avoidable {
+                    ""
+                } else {
+                    "; braking could not avoid it"
+                };
+                format!("collision with {name}, {}{braking}", fault.why())
             }
         }
     }
@@ -312,6 +326,12 @@ fn collisions(episode: &Episode, instants: &[&EpisodeTick]) -> Vec<Infraction> {
                         agent,
                         user: episode.head.scenario.agent(agent).1,
                         fault: fault(episode, instants, at, agent),
+                        is_avoidable: is_avoidable(
+                            instants,
+                            at,
+                            agent,
+                            [&episode.head.scenario.ego.size, size],
+                        ),
                     };
                     collisions.push(Infraction {
                         time_s: instant.time_s,

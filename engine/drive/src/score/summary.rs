@@ -135,6 +135,8 @@ pub struct SetSummary {
     pub collisions: usize,
     /// Collisions that were the ego's fault.
     pub collisions_at_fault: usize,
+    /// Collisions that no braking of the ego could avoid.
+    pub unavoidable_collisions: usize,
     /// Collisions with pedestrians.
     pub pedestrian_collisions: usize,
     /// Collisions with static obstacles in all episodes.
@@ -180,6 +182,7 @@ impl SetSummary {
             ttc_short_share: moments(&|score| Some(score.ttc_short_share))?,
             collisions: count(&EpisodeScore::collisions),
             collisions_at_fault: count(&at_fault),
+            unavoidable_collisions: count(&EpisodeScore::unavoidable_collisions),
             pedestrian_collisions: count(&EpisodeScore::pedestrian_collisions),
             obstacle_collisions: count(&EpisodeScore::obstacle_collisions),
             ended_by_others: count(&|score| usize::from(score.ended_by_other)),

@@ -7,7 +7,7 @@ use decouplegs_scene::scenario::Trigger;
 use decouplegs_scene::{Episode, EpisodeEnd, Pedestrian, VehicleSize, VehicleState};
 use glam::DVec2;
 
-use crate::episodes::{Motion, aside, episode, straight};
+use crate::episodes::{Motion, aside, episode, state, straight};
 
 /// Episode up to the first contact with agent 0, which must come.
 fn until_contact(ego: &Motion, agents: &[Motion]) -> Episode {
@@ -263,4 +263,42 @@ fn a_pedestrian_counts_more_than_a_vehicle_and_is_never_at_fault() {
     assert!(score.infractions[0].at_fault());
     let expected = PEDESTRIAN_FACTOR * score.route_completion;
     assert!((score.driving_score - expected).abs() < 1e-12);
+}
+
+/// True if the collision of `ego` with `other` could be avoided by braking.
+fn is_avoidable(ego: &Motion, other: Motion) -> bool {
+    let made = until_contact(ego, &[other]);
+    let infraction = EpisodeScore::new(&made).infractions[0];
+    let InfractionKind::Collision { is_avoidable, .. } = infraction.kind else {
+        panic!("{infraction:?}")
+    };
+    let says = infraction.describe(&made.head).contains("could not avoid");
+    assert_eq!(says, !is_avoidable);
+    is_avoidable
+}
+
+#[test]
+fn braking_avoids_what_is_seen_in_time_and_nothing_else() {
+    // Braking from 10 m/s takes 6.25 m. The boxes are 4.5 m long.
+    let ego = straight(0.0, 0.0, 0.0, 10.0);
+    assert!(
+        is_avoidable(&ego, straight(34.5, 0.0, 0.0, 0.0)),
+        "a standing car, 30 m ahead"
+    );
+    // It comes out from beside the road within 0.2 s, when the ego's front is so far before it.
+    let comes_out = |gap_m: f64| aside(4.5 + 10.0 + gap_m, 0.0, [4.0, 0.0], [1.0, 1.2]);
+    assert!(!is_avoidable(&ego, comes_out(4.0)));
+    assert!(is_avoidable(&ego, comes_out(12.0)));
+    // A faster one from behind.
+    let slow = straight(0.0, 0.0, 0.0, 5.0);
+    assert!(!is_avoidable(&slow, straight(-30.0, 0.0, 0.0, 15.0)));
+    // One that is slower: braking to its speed is enough, standing is not needed.
+    assert!(is_avoidable(&ego, straight(12.0, 0.0, 0.0, 6.0)));
+}
+
+#[test]
+fn speeds_that_nobody_drives_take_no_time_to_judge() {
+    let fast = || -> Motion { Box::new(|_| state(0.0, 0.0, 0.0, 1e200)) };
+    let made = episode(4, &fast(), &[fast()], EpisodeEnd::Time);
+    assert_eq!(EpisodeScore::new(&made).collisions(), 1);
 }

@@ -38,10 +38,10 @@ pub enum DrivingStyle {
     #[default]
     Normal,
     /// Headway of 2.2 s, 85 % of the cruise speed, earlier and softer braking, more time before
-    /// whoever crosses.
+    /// vehicles that cross.
     Cautious,
-    /// Headway of 1 s, later and harder braking, less time before whoever crosses. It is told of
-    /// others one observation late.
+    /// Headway of 1 s, later and harder braking, less time before vehicles that cross. It is told
+    /// of others one observation late.
     Brisk,
 }
 
