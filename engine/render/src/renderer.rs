@@ -6,11 +6,13 @@ use std::time::Instant;
 use decouplegs_gpu::{Gpu, QueueRole, Recorder, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, DetailLevels, SplatScene};
 
+use crate::agents::relit::Relights;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
 use crate::image_hash::ImageHasher;
+use crate::images::taken::SharedImagePool;
 use crate::kept_lists::{KeptLists, ListSource};
 use crate::kernels::{FrameVariant, Kernels};
 use crate::keys::{KeyDecision, PersistentKeys};
@@ -18,12 +20,10 @@ use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
 use crate::output::OutputBuffers;
 use crate::post_processing::{PhotometryRecord, RayTables};
-use crate::relit::Relights;
 use crate::resident::GpuScene;
 use crate::slot::FrameInFlight;
 use crate::stages::{AgentVariant, CameraVariant, ProjectVariant, RecordContents};
 use crate::submitted::{FrameContents, ShownFrame, SubmittedFrame};
-use crate::taken::SharedImagePool;
 use crate::{Plane, RenderError};
 
 /// Splats an index can name with room for a camera beside it.

@@ -6,14 +6,14 @@ use decouplegs_scene::GroundShadow;
 
 use crate::RenderError;
 use crate::agents::Scene;
+use crate::agents::relit::RelitCodebooks;
+use crate::agents::staged_agents::StagedAgents;
+use crate::images::taken::SharedImagePool;
 use crate::layout::{CAMERAS_MAX, CameraRecord, LensRecord, RequiredCounts, ShadowRecord};
 use crate::output::{OutputBuffers, Outputs};
 use crate::post_processing::PhotometryRecord;
-use crate::relit::RelitCodebooks;
-use crate::staged_agents::StagedAgents;
 use crate::stages::{AgentBuffers, AgentCounts, DrawnAlone, FrameData, PURPOSE, ShadowBuffers};
 use crate::submitted::FrameContents;
-use crate::taken::SharedImagePool;
 
 /// The buffers of one frame in flight.
 pub(crate) struct FrameInFlight {

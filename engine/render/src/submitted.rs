@@ -5,13 +5,13 @@ use std::time::{Duration, Instant};
 use decouplegs_gpu::Ticket;
 
 use crate::agents::AgentList;
+use crate::agents::relit::Relights;
 use crate::capacity::Capacity;
 use crate::kept_lists::{ListSource, Standing};
 use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
 use crate::layout::View;
 use crate::post_processing::{PhotometryRecord, ProcessedView};
-use crate::relit::Relights;
 use crate::resident::GpuScene;
 use crate::stages::AgentCounts;
 

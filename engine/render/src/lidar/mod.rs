@@ -13,10 +13,10 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::RenderError;
+use crate::agents::staged_agents::StagedAgents;
 use crate::agents::{AgentList, Scene};
 use crate::capacity::Capacity;
 use crate::layout::{BeamRecord, CAMERAS_MAX, CLUSTER_SPLATS, View};
-use crate::staged_agents::StagedAgents;
 use crate::stages::{
     LidarBuffers, LidarRoom, LidarVariant, ListLidar, ProjectLidar, ProjectLidarAgents, Scan,
     SectorBuffers, TileSort, TraceLidar, beam_lanes,

@@ -5,6 +5,9 @@
 //! which is one record an agent and camera where turning a codebook would be 512 entries. Shapes,
 //! colors and depth keys come out the same.
 
+pub(crate) mod relit;
+pub(crate) mod staged_agents;
+
 use bytemuck::Zeroable;
 use decouplegs_scene::light::Shading;
 use decouplegs_scene::{Camera, ColorTransfer, GroundShadow, Invalid, Motion, Pose, ShFrame};
