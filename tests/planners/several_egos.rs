@@ -40,7 +40,7 @@ fn scenario(site: &Site, level: Level, count: usize) -> Scenario {
     };
     let generator = Generator::new(&site.lanes, options, &site.asset_sizes).unwrap();
     let scenario = generator.scenario(level, 5, 0).unwrap();
-    with_egos(&scenario, &site.lanes, count).unwrap()
+    generator.with_egos(&scenario, count).unwrap()
 }
 
 /// Drives all egos with the planners that `planner` has for their names.
@@ -411,7 +411,7 @@ fn scenarios_of_several_egos_that_do_not_fit_are_refused() {
         .unwrap()
         .to_string();
     assert!(error.contains("2 egos, and 1 planners"), "{error}");
-    let easy = with_egos(&good, &site.lanes, 100)
+    let easy = with_egos(&good, &site.lanes, 100, &|_| f64::INFINITY)
         .err()
         .unwrap()
         .to_string();

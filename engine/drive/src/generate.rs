@@ -29,7 +29,8 @@ use std::sync::Arc;
 
 use decouplegs_scene::scenario::{Drivers, EgoTask, TrafficAgent};
 use decouplegs_scene::{
-    Egos, LaneMap, Level, Scenario, Story, TrafficLight, TrafficSign, VehicleSize, VehicleState,
+    Egos, Invalid, LaneMap, Level, Scenario, Story, TrafficLight, TrafficSign, VehicleSize,
+    VehicleState,
 };
 use glam::DVec2;
 
@@ -39,6 +40,7 @@ pub use road_users::RoadUserAsset;
 pub use rules::{Difficulty, NEAR_M, agents_near, weathers};
 
 use crate::obstacles::Obstacles;
+use crate::other_egos::with_egos;
 use crate::road_graph::RoadGraph;
 use crate::traffic::{Traffic, TrafficError};
 use crate::view_support::ViewSupport;
@@ -240,6 +242,18 @@ impl<'a> Generator<'a> {
             _ => own.split(FOR_REPLACEMENTS).split(u64::from(replacement)),
         };
         self.generate(level, format!("{}_{index:04}", level.name()), &stream)
+    }
+
+    /// `scenario` with `count` egos: cars of its traffic become egos, whose routes stay where this
+    /// generator's routes stay.
+    ///
+    /// # Errors
+    /// The errors of [`with_egos`].
+    pub fn with_egos(&self, scenario: &Scenario, count: usize) -> Result<Scenario, Invalid> {
+        with_egos(scenario, self.roads.map, count, &|route| {
+            let in_area_m = self.area.map_or(f64::INFINITY, |area| area.along_m(route));
+            in_area_m.min(self.roads.seen_m(route))
+        })
     }
 
     /// The scenario `name` of `level` that the random numbers of `stream` make.

@@ -9,26 +9,38 @@ use crate::route::{LaneSpot, Route, straight_on};
 const ROUTE_M_MIN: f64 = 30.0;
 
 /// `scenario` with `count` egos: cars of its traffic become egos, where they start and as fast.
-/// Each is to go straight on as far as the ego is to go, or to where its lanes end. Cars without
+/// Each is to go straight on as far as the ego is to go, or to where its lanes end, or to where the
+/// place is no longer seen: `seen_m` tells how far a route leads where it is, meters. Cars without
 /// injected behaviors come first.
 ///
 /// # Errors
 /// A sentence, if the scenario has too few cars with a way ahead, or its route is not on `map`.
-pub fn with_egos(scenario: &Scenario, map: &LaneMap, count: usize) -> Result<Scenario, Invalid> {
+pub fn with_egos(
+    scenario: &Scenario,
+    map: &LaneMap,
+    count: usize,
+    seen_m: &dyn Fn(&Route) -> f64,
+) -> Result<Scenario, Invalid> {
     let length_m = Route::new(map, &scenario.ego)?.length_m();
     let agents = &scenario.agents;
     let mut order: Vec<usize> = (0..agents.len()).collect();
     order.sort_by_key(|&index| !agents[index].behaviors.is_empty());
     let ego = |index: usize| {
         let agent = &agents[index];
-        let task = task_of(agent, map, length_m, scenario.ego.cruise_mps)?;
+        let cruise_mps = scenario.ego.cruise_mps;
+        let task = task_of(agent, map, length_m, cruise_mps)?;
+        let seen_m = seen_m(&Route::new(map, &task).ok()?);
+        let task = match seen_m < length_m {
+            true => task_of(agent, map, seen_m, cruise_mps)?,
+            false => task,
+        };
         Some((index, task))
     };
     let wanted = count.saturating_sub(scenario.egos.count());
     let taken: Vec<(usize, EgoTask)> = order.into_iter().filter_map(ego).take(wanted).collect();
     if taken.len() < wanted {
         return Err(Invalid::new(format!(
-            "scenario {}: {} of its {} vehicles are cars with {ROUTE_M_MIN} m of lanes ahead; {wanted} are to be egos: expected fewer egos or more traffic",
+            "scenario {}: {} of its {} vehicles are cars with {ROUTE_M_MIN} m of lanes ahead where the place is seen; {wanted} are to be egos: expected fewer egos or more traffic",
             scenario.name,
             taken.len(),
             agents.len()

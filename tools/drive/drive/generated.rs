@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, Result, bail};
 use decouplegs::drive::generate::{Difficulty, Generator};
-use decouplegs::drive::other_egos::with_egos;
 use decouplegs::episode::Site;
 use decouplegs::logs::write_scenario;
 use decouplegs::scene::{Level, Scenario};
@@ -98,7 +97,7 @@ fn chosen(
     for replacement in 0..=REPLACEMENTS {
         let scenario = generator.scenario_instead(level, arguments.seed, index, replacement)?;
         let scenario = match arguments.egos {
-            Some(egos) => with_egos(&scenario, &site.lanes, egos.into())?,
+            Some(egos) => generator.with_egos(&scenario, egos.into())?,
             None => scenario,
         };
         let scenario = stepped(scenario, arguments);

@@ -1,10 +1,12 @@
 //! The report as one HTML page.
 
 use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use decouplegs::render::Image;
+use decouplegs::scene::episode::PlannerRecord;
 use decouplegs::scene::{Episode, Lane};
 
 use super::{
@@ -30,10 +32,12 @@ pub fn page(
     devices: Option<&DeviceUse>,
     out: &Path,
 ) -> Result<String> {
-    let planner = scored
-        .first()
-        .map_or("", |scored| scored.head.planner.name.as_str());
-    let mut page = Page::new(&format!("{planner} in closed loop"));
+    let planners = scored
+        .iter()
+        .map(|scored| scored.head.planner.name.as_str());
+    let planners: BTreeSet<&str> = planners.collect();
+    let planners: Vec<&str> = planners.into_iter().collect();
+    let mut page = Page::new(&format!("{} in closed loop", planners.join(", ")));
     page.text(&facts(scored));
     let agents = commanded::text(scored);
     if !agents.is_empty() {
@@ -49,12 +53,9 @@ pub fn page(
     Ok(page.finish())
 }
 
-fn facts(scored: &[Scored]) -> String {
-    let Some(first) = scored.first() else {
-        return "No episodes.".into();
-    };
-    let planner = &first.head.planner;
-    let sees = match (planner.cameras.is_empty(), planner.privileged) {
+/// Sentence on what `planner` was told.
+fn seen(planner: &PlannerRecord) -> String {
+    match (planner.cameras.is_empty(), planner.privileged) {
         (true, true) => {
             "It received the states of all vehicles, which no camera shows, and needed no images."
                 .to_owned()
@@ -65,6 +66,24 @@ fn facts(scored: &[Scored]) -> String {
             "It was told nothing but its own motion, its pose and its route.".to_owned()
         }
         (false, false) => "It was told nothing but its own motion and its navigation.".to_owned(),
+    }
+}
+
+fn facts(scored: &[Scored]) -> String {
+    let Some(first) = scored.first() else {
+        return "No episodes.".into();
+    };
+    let planner = &first.head.planner;
+    let planners = scored.iter().map(|scored| &scored.head.planner);
+    let told: BTreeMap<&str, String> = planners
+        .map(|planner| (planner.name.as_str(), seen(planner)))
+        .collect();
+    let sees = match told.len() {
+        1 => seen(planner),
+        _ => {
+            let told = told.iter().map(|(name, told)| format!("{name}: {told}"));
+            told.collect::<Vec<_>>().join(" ")
+        }
     };
     let drawn = first
         .head

@@ -74,6 +74,14 @@ impl Area {
     pub(super) fn holds(&self, position_m: DVec2) -> bool {
         self.center_m.distance(position_m) <= self.radius_m
     }
+
+    /// Distance along `route` at which it first leaves the area, or its length, meters.
+    pub(super) fn along_m(&self, route: &Route) -> f64 {
+        let length_m = route.length_m();
+        let places_m = (0..=length_m.ceil() as usize).map(|meter| (meter as f64).min(length_m));
+        let mut outside_m = places_m.filter(|&at_m| !self.holds(route.pose_at(at_m).0.truncate()));
+        outside_m.next().unwrap_or(length_m)
+    }
 }
 
 /// A task for the ego.
