@@ -43,6 +43,7 @@ const uint THREADS = 256u;
 layout(local_size_x = 256) in;
 
 layout(constant_id = 3) const float ALPHA_MAX = 0.99;
+layout(constant_id = 12) const float LOG2_ALPHA_MAX = -0.014499569;
 layout(constant_id = 4) const bool EARLY_STOP = false; // stop before the splat that would make a pixel full
 layout(constant_id = 11) const bool INCLUSIVE_STOP = false; // with EARLY_STOP: stop behind that splat
 layout(constant_id = 5) const uint LANES = 32u; // of a subgroup: 4 to 64
@@ -92,7 +93,6 @@ layout(push_constant, scalar) uniform push_block { vec3 sky; uint camera_count; 
 shared uint open_tiles; // fine tiles that the segments before have not covered
 shared uint open_subgroups; // whether one of them has a pixel that is not full
 shared uint next_share;
-shared uint drawn_tiles; // fine tiles with records in the segment
 shared PartialTiles held_tiles;
 
 // Largest transmittance by fine tile, bits. A subgroup of 32 lanes has a fine tile for itself, and
@@ -170,7 +170,7 @@ bool blend_share(inout LanePixels pixels, uint first_index, uint first, uint bat
             uint entry = 32u * first_word + entry_of_rank(done + lane, bits, before);
             bool some = lane < ROUND && done + lane < candidates;
             Staged own = read_record(records[first + (some ? entry : 0u)], coarse_origin + tile_offset, mean_shift);
-            own.tones.y = some ? own.tones.y : -1e3; // log2 of an alpha far below 1/255
+            own.tones.y = some ? own.tones.y : -1e3; // of an alpha far below 1/255
             if (lane < ROUND) {
                 place_record(first_place + lane, own);
             }
@@ -209,24 +209,10 @@ PartialTiles hold_tiles(BlendItem item, uint tiles) {
     return held;
 }
 
-// True if listed records reach the fine tile `tile`.
-bool has_records(uint tile, uint batch_records) {
-    uint any = 0u;
-    for (uint word = 0u; word < (batch_records + 31u) / 32u; ++word) {
-        any |= tile_records[tile][word];
-    }
-    return any != 0u;
-}
-
-// Finds room for the results of those of `tiles` that have records: `has_any`, by the first 32
-// threads. Every thread of the workgroup calls it.
-void hold_drawn_tiles(BlendItem item, uint tiles, bool has_any) {
-    uint thread = gl_LocalInvocationIndex;
-    if (thread < 32u && has_any) {
-        atomicOr(drawn_tiles, 1u << thread);
-    }
-    barrier();
-    if (thread == 0u) {
+// Finds room for the results of those of `tiles` that have records. Every thread of the workgroup
+// calls it, behind a barrier.
+void hold_drawn_tiles(BlendItem item, uint tiles) {
+    if (gl_LocalInvocationIndex == 0u) {
         held_tiles = hold_tiles(item, tiles & drawn_tiles);
     }
     barrier();
@@ -333,8 +319,7 @@ void blend_one_batch(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     list_records(item.first_pair, item.pairs, origin, camera.size_px, camera.mean_shift);
     barrier();
     if (writes_partial(item)) {
-        uint thread = gl_LocalInvocationIndex;
-        hold_drawn_tiles(item, tiles, thread < 32u && has_records(thread, item.pairs));
+        hold_drawn_tiles(item, tiles);
     }
     // As many rounds as shares, so that the loop ends even if a counter is wrong.
     for (uint taken = 0u; taken < SHARES; ++taken) {
@@ -373,7 +358,6 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
     bool open1 = is_drawn(tiles, first1);
     bool open2 = is_drawn(tiles, first2);
     bool open3 = is_drawn(tiles, first3);
-    bool has_any = false; // records in a fine tile, by the first 32 threads
     for (uint done = 0u; done < item.pairs; done += BATCH) {
         uint count = min(BATCH, item.pairs - done);
         list_records(item.first_pair + done, count, origin, camera.size_px, camera.mean_shift);
@@ -381,9 +365,6 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
             open_subgroups = 0u;
         }
         barrier();
-        if (writes_partial(item) && gl_LocalInvocationIndex < 32u) {
-            has_any = has_any || has_records(gl_LocalInvocationIndex, count);
-        }
         open0 = open0 && blend_share(pixels0, first0, item.first_pair + done, count, origin, camera.mean_shift);
         open1 = open1 && blend_share(pixels1, first1, item.first_pair + done, count, origin, camera.mean_shift);
         open2 = open2 && blend_share(pixels2, first2, item.first_pair + done, count, origin, camera.mean_shift);
@@ -398,7 +379,7 @@ void blend_batches(BlendItem item, Camera camera, uvec2 origin, uint tiles) {
         barrier(); // and so is open_subgroups
     }
     if (writes_partial(item)) {
-        hold_drawn_tiles(item, tiles, has_any);
+        hold_drawn_tiles(item, tiles);
     }
     if (is_drawn(tiles, first0)) {
         write_result(item, camera, origin, first0 + lane, pixels0);
@@ -430,6 +411,7 @@ void main() {
         next_share = 0u;
         drawn_tiles = 0u;
     }
+    barrier(); // before others add to them
     if (EARLY_STOP || CONTRIBUTIONS) {
         bool starts = FINISH || item.segment == 0u;
         stops = EARLY_STOP && starts;

@@ -20,14 +20,17 @@ const uint WORDS_LISTED = LANES > 32u ? LANES / 32u : 1u; // by a subgroup at a 
 const uvec2 SHARE_PX = uvec2(LANES > 32u ? 16u : LANES > 8u ? 8u : 4u, LANES > 16u ? 8u : LANES > 4u ? 4u : 2u);
 
 // Records that a subgroup blends next, a place per lane. The exponent of a record at (x, y),
-// relative to the fine tile: log2_opacity - (x * slants.x + y * slants.y + slants.z)^2
-// - (y * rate_y + slants.w)^2. `tones` is rate_y, log2_opacity, red and green. All else of a record
-// stays in the registers of the lane that read it.
+// relative to the fine tile: log2_share - (x * slants.x + y * slants.y + slants.z)^2
+// - (y * rate_y + slants.w)^2. `tones` is rate_y, log2_share, red and green: the opacity over
+// ALPHA_MAX, and colors times ALPHA_MAX. All else of a record stays in the registers of the lane
+// that read it.
 shared vec4 place_slants[THREADS];
 shared vec4 place_tones[THREADS];
 
 // Records of each fine tile, one bit each.
 shared uint tile_records[32][BATCH_WORDS];
+
+shared uint drawn_tiles; // fine tiles with records in the segment
 
 // Fine tiles of the coarse tile at `origin` that the splat can reach, as bits row * 8 + column.
 uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
@@ -57,18 +60,36 @@ uint listed_tiles(uint first, uint count, uint entry, uvec2 origin, uvec2 size_p
     return reached_fine_tiles(unpack_footprint(footprints[2u * record], footprints[2u * record + 1u], mean_shift), origin, size_px);
 }
 
+// Word `lane` of the transposed bits of 32 lanes: bit b of lane l becomes bit l of lane b. Every
+// lane calls it.
+uint transposed(uint bits, uint lane) {
+    [[unroll]] for (uint step = 16u; step > 0u; step /= 2u) {
+        uint low = 0xffffffffu / ((1u << step) + 1u); // bits whose number lacks the step
+        uint other = subgroupShuffleXor(bits, step);
+        bits = (lane & step) == 0u ? (bits & low) | (other & low) << step : (bits & ~low) | (other >> step & low);
+    }
+    return bits;
+}
+
 // Lists `count` records, which begin at entry `first` of the lists, by fine tile. A barrier must
 // follow.
 //
 // A subgroup takes 32 records at a time, or as many as it has lanes: their masks are turned into
-// one word per tile by ballots.
+// one word per tile, where there are 32 lanes by exchanges, else by ballots.
 void list_records(uint first, uint count, uvec2 origin, uvec2 size_px, uint mean_shift) {
     uint lane = gl_SubgroupInvocationID;
     uint words = (count + 31u) / 32u;
+    uint drawn = 0u;
     for (uint word = gl_LocalInvocationIndex / LANES * WORDS_LISTED; word < words; word += SUBGROUPS * WORDS_LISTED) {
         uint masks[PARTS];
         [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
             masks[part] = listed_tiles(first, count, 32u * word + part * LANES + lane, origin, size_px, mean_shift);
+        }
+        if (LANES == 32u) {
+            uint kept = transposed(masks[0], lane);
+            tile_records[lane][word] = kept;
+            drawn |= subgroupBallot(kept != 0u).x;
+            continue;
         }
         [[unroll]] for (uint first_tile = 0u; first_tile < 32u; first_tile += ROUND) {
             uint kept = 0u;
@@ -83,7 +104,12 @@ void list_records(uint first, uint count, uvec2 origin, uvec2 size_px, uint mean
             if (word + lane / 32u < words) {
                 tile_records[first_tile + lane % 32u][word + lane / 32u] = kept;
             }
+            uvec4 some = subgroupBallot(kept != 0u);
+            drawn |= (some.x | some.y) << first_tile;
         }
+    }
+    if (lane == 0u) {
+        atomicOr(drawn_tiles, drawn);
     }
 }
 
@@ -111,10 +137,10 @@ Staged read_record(uint record, uvec2 origin, uint mean_shift) {
     uvec4 low = footprints[2u * record];
     uvec4 high = footprints[2u * record + 1u];
     vec4 rest = uintBitsToFloat(uvec4(low.zw, high.xy)); // slope, rates, log2 of the opacity
-    vec3 color = unpack_record_color(high);
+    vec3 color = ALPHA_MAX * unpack_record_color(high);
     vec2 mean = unpack_mean(low.xy, origin, mean_shift);
     float sheared_x = mean.x - rest.x * mean.y;
-    Staged staged = Staged(vec4(rest.y, -rest.x * rest.y, -sheared_x * rest.y, -mean.y * rest.z), vec4(rest.zw, color.rg), color.b, 0.0, 0u, record);
+    Staged staged = Staged(vec4(rest.y, -rest.x * rest.y, -sheared_x * rest.y, -mean.y * rest.z), vec4(rest.z, rest.w - LOG2_ALPHA_MAX, color.rg), color.b, 0.0, 0u, record);
     if (DEPTH || INSTANCE || CONTRIBUTIONS) {
         uvec2 label = labels[record];
         staged.depth_m = uintBitsToFloat(label.x);
@@ -157,12 +183,12 @@ bool reaches_share(Staged staged, vec2 corner) {
     float v_extent = half_size.y * abs(staged.tones.x);
     float u = max(abs(middle.x * staged.slants.x + (middle.y * staged.slants.y + staged.slants.z)) - u_extent, 0.0);
     float v = max(abs(middle.y * staged.tones.x + staged.slants.w) - v_extent, 0.0);
-    return u * u + v * v <= squared_radius(staged.tones.y) + SQUARED_RADIUS_SLACK;
+    return u * u + v * v <= squared_radius(staged.tones.y + LOG2_ALPHA_MAX) + SQUARED_RADIUS_SLACK;
 }
 
-// log2(alpha) of a record at two pixels, the second two columns to the right of the first, whose
-// center is `at`.
-vec2 log2_alphas(vec4 slants, vec4 tones, vec2 at) {
+// log2(alpha / ALPHA_MAX) of a record at two pixels, the second two columns to the right of the
+// first, whose center is `at`.
+vec2 log2_shares(vec4 slants, vec4 tones, vec2 at) {
     float u = at.x * slants.x + (at.y * slants.y + slants.z);
     float u_right = u + 2.0 * slants.x;
     float v = at.y * tones.x + slants.w;

@@ -34,26 +34,32 @@ LanePixels empty_pixels(uvec2 at, uvec2 size_px) {
     return pixels;
 }
 
-void blend_pixel(inout Pixel pixel, inout bool full, float log2_alpha, vec3 color, Staged record, Attributes own) {
-    float alpha = log2_alpha >= log2_alpha_min(record.tones.y) ? min(exp2(log2_alpha), ALPHA_MAX) : 0.0;
+// Blends a record whose alpha is 2^log2_share of ALPHA_MAX.
+//
+// All is written for few instructions: a clamp to 1 costs none on NVIDIA, where one to ALPHA_MAX
+// would, and a comparison gives a factor of 0 or 1.
+void blend_pixel(inout Pixel pixel, inout bool full, float log2_share, vec3 color, Staged record, Attributes own) {
+    float blended = log2_share >= log2_alpha_min(record.tones.y + LOG2_ALPHA_MAX) - LOG2_ALPHA_MAX ? 1.0 : 0.0;
+    float share = clamp(exp2(log2_share) * blended, 0.0, 1.0);
     if (FINISH_MEDIANS) {
-        pixel.median = pixel.transmittance > TRANSMITTANCE_MEDIAN && alpha > 0.0 ? record.record : pixel.median;
-        pixel.transmittance -= pixel.transmittance * alpha;
+        pixel.median = pixel.transmittance > TRANSMITTANCE_MEDIAN && share > 0.0 ? record.record : pixel.median;
+        pixel.transmittance -= ALPHA_MAX * (pixel.transmittance * share);
         return;
     }
     if (EARLY_STOP && !INCLUSIVE_STOP) {
-        bool ends = !full && stops && pixel.transmittance * (1.0 - alpha) <= stop_limit();
+        bool ends = !full && stops && pixel.transmittance * (1.0 - ALPHA_MAX * share) <= stop_limit();
         full = full || ends;
     }
     if (EARLY_STOP) {
-        alpha = full ? 0.0 : alpha;
+        share = full ? 0.0 : share;
     }
     if (MEDIANS) {
         // One that adds nothing does no harm: the one that takes the light is the last.
         pixel.median = pixel.transmittance > TRANSMITTANCE_MEDIAN ? record.record : pixel.median;
     }
-    float weight = pixel.transmittance * alpha;
-    pixel.color += weight * color;
+    float weight_share = pixel.transmittance * share;
+    float weight = ALPHA_MAX * weight_share;
+    pixel.color += weight_share * color; // which has been multiplied by ALPHA_MAX
     pixel.transmittance -= weight;
     if (EARLY_STOP && INCLUSIVE_STOP) {
         full = full || (stops && pixel.transmittance <= stop_limit());
@@ -86,10 +92,10 @@ Attributes attributes_of(uint record) {
 }
 
 void blend_record(inout LanePixels pixels, vec2 at, Staged record) {
-    vec2 log2_alpha = log2_alphas(record.slants, record.tones, at);
+    vec2 log2_share = log2_shares(record.slants, record.tones, at);
     vec3 color = vec3(record.tones.zw, record.blue);
     Attributes own = attributes_of(record.record);
     // No branch where a record adds nothing: that would cost more than the arithmetic it saves.
-    blend_pixel(pixels.left, pixels.left_full, log2_alpha.x, color, record, own);
-    blend_pixel(pixels.right, pixels.right_full, log2_alpha.y, color, record, own);
+    blend_pixel(pixels.left, pixels.left_full, log2_share.x, color, record, own);
+    blend_pixel(pixels.right, pixels.right_full, log2_share.y, color, record, own);
 }

@@ -47,6 +47,7 @@ decouplegs_gpu::shader! {
         8 ONE_BATCH one_batch: bool;
         9 FINISH_MEDIANS finish_medians: bool;
         11 INCLUSIVE_STOP inclusive_stop: bool;
+        12 LOG2_ALPHA_MAX log2_alpha_max: f32;
         30 RANGE range: bool;
         31 NORMAL normal: bool;
         32 FLOW_FORWARD flow_forward: bool;

@@ -195,6 +195,7 @@ impl Blend {
             depth_median: draws(Plane::DepthMedian),
             range_median: draws(Plane::RangeMedian),
             alpha_max: rules.alpha_max as f32,
+            log2_alpha_max: rules.alpha_max.log2() as f32,
             early_stop: end != PixelEnd::Full,
             inclusive_stop: end == PixelEnd::Inclusive,
             lanes: gpu.limits().subgroup_size,
