@@ -20,7 +20,7 @@
 #include "depth_key.glsl"
 #include "depth_slab.glsl"
 
-const uint WORKGROUP_THREADS = 256u;
+const uint WORKGROUP_THREADS = PAIR_BLOCK;
 layout(local_size_x = 256) in;
 #include "block.glsl"
 
@@ -41,14 +41,11 @@ layout(push_constant, scalar) uniform push_block {
 #include "bin_records.glsl"
 #include "slab_hash.glsl"
 
-// Records of the block that have more than a reach holds: their index in the block, and above it
-// first their rows and then the rows of those before.
-shared uint shared_large[PAIR_BLOCK];
-shared uint large_count;
-shared uint first_large;
-
-const uint INDEX_BITS = 10u; // of PAIR_BLOCK
-const uint OWN_LARGE = PAIR_BLOCK / WORKGROUP_THREADS;
+// Whether a record of the block has more coarse tiles than a reach holds, and by thread the rows of
+// such records before the thread's own.
+shared bool any_large;
+shared uint rows_before_large[PAIR_BLOCK];
+shared uint first_large; // of the block, in large_records
 
 void count_row(Camera camera, uint slab, uint row, ivec2 tiles) {
     for (int tile = tiles.x; tile <= tiles.y; ++tile) {
@@ -63,13 +60,10 @@ void count_row(Camera camera, uint slab, uint row, ivec2 tiles) {
     }
 }
 
-// Adds what the workgroup has counted. Every thread calls it.
+// Adds what the workgroup has counted. Every thread calls it, behind a barrier.
 void add_hash(uint thread) {
-    barrier();
-    for (uint slot = thread; slot < HASH_SLOTS; slot += WORKGROUP_THREADS) {
-        if (hash_counts[slot] > 0u) {
-            atomicAdd(slab_counts[hash_slabs[slot]], hash_counts[slot]);
-        }
+    if (hash_counts[thread] > 0u) {
+        atomicAdd(slab_counts[hash_slabs[thread]], hash_counts[thread]);
     }
 }
 
@@ -111,71 +105,67 @@ uint count_few(Footprint splat, Camera camera, uint key, ivec2 rows) {
     return reach;
 }
 
-// The last large record of the block before which there are no more than `row` rows.
+// The thread whose record has row `row` of the large records.
 uint giver_of(uint row) {
     uint giver = 0u;
     [[unroll]] for (uint step = PAIR_BLOCK / 2u; step > 0u; step /= 2u) {
-        giver += giver + step < large_count && shared_large[giver + step] >> INDEX_BITS <= row ? step : 0u;
+        giver += rows_before_large[giver + step] <= row ? step : 0u;
     }
     return giver;
 }
 
-void main() {
-    uint record_count = held(required.records, records_max);
-    uint first_record = required.first_binned + group_index() * PAIR_BLOCK;
-    uint end_record = min(first_record + PAIR_BLOCK, record_count);
-    uint thread = block_thread();
-    if (thread == 0u) {
-        large_count = 0u;
-    }
-    empty_hash(thread);
-    barrier();
-    for (uint record = first_record + thread; record < end_record; record += WORKGROUP_THREADS) {
-        Camera camera = cameras[camera_of(record)];
-        Footprint splat = load_footprint(record, camera);
-        uint key = keys[record];
-        ivec2 rows = rows_of(splat, camera);
-        uint reach = count_few(splat, camera, key, rows);
-        reaches[record] = reach;
-        if (reach == REACH_LARGE) {
-            shared_large[atomicAdd(large_count, 1u)] = uint(rows.y - rows.x + 1) << INDEX_BITS | record - first_record;
-        }
-    }
-    barrier();
-    uint count = large_count;
-    if (count == 0u) {
-        add_hash(thread);
-        return;
-    }
-    uint entries[OWN_LARGE];
-    uint own_rows = 0u;
-    [[unroll]] for (uint next = 0u; next < OWN_LARGE; ++next) {
-        uint index = thread * OWN_LARGE + next;
-        entries[next] = index < count ? shared_large[index] : 0u;
-        own_rows += entries[next] >> INDEX_BITS;
-    }
+// A large record in a word: 1, and from this bit on its rows. Words of a block are added up.
+const uint LARGE_BITS = 9u;
+
+// Lists the large records of the block and counts their pairs. `large` is the word of the thread's
+// own record, or 0. Every thread calls it.
+void count_large(uint first_record, uint large, uint thread) {
+    uint total;
+    uint before = block_exclusive_sum(large, total);
+    uint count = total & ((1u << LARGE_BITS) - 1u);
+    rows_before_large[thread] = before >> LARGE_BITS;
     if (thread == 0u) {
         first_large = atomicAdd(required.large, count);
     }
-    uint row_total;
-    uint rows_before = block_exclusive_sum(own_rows, row_total); // waits for all threads
-    [[unroll]] for (uint next = 0u; next < OWN_LARGE; ++next) {
-        uint index = thread * OWN_LARGE + next;
-        uint record_index = entries[next] & (PAIR_BLOCK - 1u);
-        if (index < count) {
-            shared_large[index] = rows_before << INDEX_BITS | record_index;
-            large_records[first_large + index] = first_record + record_index;
-        }
-        rows_before += entries[next] >> INDEX_BITS;
-    }
     barrier();
-    for (uint given = thread; given < row_total; given += WORKGROUP_THREADS) {
-        uint entry = shared_large[giver_of(given)];
-        uint record = first_record + (entry & (PAIR_BLOCK - 1u));
+    if (large != 0u) {
+        large_records[first_large + (before & ((1u << LARGE_BITS) - 1u))] = first_record + thread;
+    }
+    for (uint given = thread; given < total >> LARGE_BITS; given += WORKGROUP_THREADS) {
+        uint giver = giver_of(given);
+        uint record = first_record + giver;
         Camera camera = cameras[camera_of(record)];
         Footprint splat = load_footprint(record, camera);
-        uint row = uint(rows_of(splat, camera).x) + given - (entry >> INDEX_BITS);
+        uint row = uint(rows_of(splat, camera).x) + given - rows_before_large[giver];
         count_row(camera, slab_of(keys[record], camera), row, tiles_of(splat, camera, row));
+    }
+}
+
+void main() {
+    uint first_record = required.first_binned + group_index() * PAIR_BLOCK;
+    uint thread = block_thread();
+    uint record = first_record + thread;
+    uint large = 0u;
+    if (thread == 0u) {
+        any_large = false;
+    }
+    empty_hash(thread);
+    barrier();
+    if (record < held(required.records, records_max)) {
+        Camera camera = cameras[camera_of(record)];
+        Footprint splat = load_footprint(record, camera);
+        ivec2 rows = rows_of(splat, camera);
+        uint reach = count_few(splat, camera, keys[record], rows);
+        reaches[record] = reach;
+        if (reach == REACH_LARGE) {
+            large = uint(rows.y - rows.x + 1) << LARGE_BITS | 1u;
+            any_large = true;
+        }
+    }
+    barrier();
+    if (any_large) {
+        count_large(first_record, large, thread);
+        barrier();
     }
     add_hash(thread);
 }

@@ -20,7 +20,7 @@
 #include "depth_key.glsl"
 #include "depth_slab.glsl"
 
-const uint WORKGROUP_THREADS = 256u;
+const uint WORKGROUP_THREADS = PAIR_BLOCK;
 layout(local_size_x = 256) in;
 #include "block.glsl"
 
@@ -109,7 +109,6 @@ void fill_large(uint first, uint end, uint thread) {
 // Pairs of a record whose places are asked for by the workgroup; those of more coarse tiles are
 // asked for by the thread.
 const uint TOGETHER = 2u;
-const uint OWN_RECORDS = PAIR_BLOCK / WORKGROUP_THREADS; // of a thread
 
 // Place of a pair among those of the workgroup in its slot: the slot, and above it the rank.
 const uint NO_TICKET = 0xffffffffu;
@@ -124,27 +123,22 @@ uint slab_of_pair(uint reach, uint pair, uint columns, uint slab) {
     return bin * SLABS + slab;
 }
 
-void fill_few(uint first_record, uint end_record, uint thread) {
+// Writes the pairs of the thread's record, if there is one. Every thread calls it.
+void fill_few(uint record, bool real, uint thread) {
     empty_hash(thread);
     barrier();
-    uint keys_of[OWN_RECORDS];
-    uint tickets[OWN_RECORDS * TOGETHER];
-    [[unroll]] for (uint own = 0u; own < OWN_RECORDS; ++own) {
-        uint record = first_record + own * WORKGROUP_THREADS + thread;
-        bool real = record < end_record;
-        uint reach = real ? reaches[record] : 0u;
-        uint key = real ? keys[record] : 0u;
-        keys_of[own] = key;
-        [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
-            tickets[own * TOGETHER + pair] = NO_TICKET;
-        }
-        if (!real || (reach & REACH_LARGE) != 0u) {
-            continue;
-        }
+    uint reach = real ? reaches[record] : 0u;
+    bool few = (reach & REACH_LARGE) == 0u;
+    uint count = few ? reach_tiles(reach, 0u) + reach_tiles(reach, 1u) + reach_tiles(reach, 2u) : 0u;
+    uint key = real ? keys[record] : 0u;
+    uint tickets[TOGETHER];
+    [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
+        tickets[pair] = NO_TICKET;
+    }
+    if (count > 0u) {
         Camera camera = cameras[camera_of(record)];
         uint slab = slab_of(key, camera);
         uint columns = camera.coarse_tiles.x;
-        uint count = reach_tiles(reach, 0u) + reach_tiles(reach, 1u) + reach_tiles(reach, 2u);
         [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
             if (pair < count) {
                 uint at = slab_of_pair(reach, pair, columns, slab);
@@ -152,7 +146,7 @@ void fill_few(uint first_record, uint end_record, uint thread) {
                 if (slot == NO_SLOT) {
                     write_pair(atomicAdd(slab_counts[at], 1u), key, record);
                 } else {
-                    tickets[own * TOGETHER + pair] = atomicAdd(hash_counts[slot], 1u) << HASH_BITS | slot;
+                    tickets[pair] = atomicAdd(hash_counts[slot], 1u) << HASH_BITS | slot;
                 }
             }
         }
@@ -161,20 +155,13 @@ void fill_few(uint first_record, uint end_record, uint thread) {
         }
     }
     barrier();
-    for (uint slot = thread; slot < HASH_SLOTS; slot += WORKGROUP_THREADS) {
-        uint count = hash_counts[slot];
-        if (count > 0u) {
-            hash_counts[slot] = atomicAdd(slab_counts[hash_slabs[slot]], count);
-        }
+    if (hash_counts[thread] > 0u) {
+        hash_counts[thread] = atomicAdd(slab_counts[hash_slabs[thread]], hash_counts[thread]);
     }
     barrier();
-    [[unroll]] for (uint own = 0u; own < OWN_RECORDS; ++own) {
-        [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
-            uint ticket = tickets[own * TOGETHER + pair];
-            if (ticket != NO_TICKET) {
-                uint place = hash_counts[ticket & (HASH_SLOTS - 1u)] + (ticket >> HASH_BITS);
-                write_pair(place, keys_of[own], first_record + own * WORKGROUP_THREADS + thread);
-            }
+    [[unroll]] for (uint pair = 0u; pair < TOGETHER; ++pair) {
+        if (tickets[pair] != NO_TICKET) {
+            write_pair(hash_counts[tickets[pair] & (HASH_SLOTS - 1u)] + (tickets[pair] >> HASH_BITS), key, record);
         }
     }
 }
@@ -191,7 +178,6 @@ void main() {
         fill_large(group * LARGE_BLOCK, large, thread);
         return;
     }
-    uint first_record = required.first_binned + (group - large_groups) * PAIR_BLOCK;
-    uint end_record = min(first_record + PAIR_BLOCK, held(required.records, records_max));
-    fill_few(first_record, end_record, thread);
+    uint record = required.first_binned + (group - large_groups) * PAIR_BLOCK + thread;
+    fill_few(record, record < held(required.records, records_max), thread);
 }

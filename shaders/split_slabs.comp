@@ -15,8 +15,8 @@
 #include "depth_key.glsl"
 #include "depth_slab.glsl"
 
-// As many as the device allows, up to SLAB_BINS: a long slab is the work of one workgroup.
-layout(constant_id = 1) const uint WORKGROUP_THREADS = 256u; // a power of two
+// A power of two, up to SLAB_BINS.
+layout(constant_id = 1) const uint WORKGROUP_THREADS = 256u;
 layout(local_size_x_id = 1) in;
 #include "block.glsl"
 

@@ -37,9 +37,10 @@ uint reached_fine_tiles(Footprint splat, uvec2 origin, uvec2 size_px) {
     uint mask = 0u;
     ivec2 rows = max(reached_rows(splat, size_px.y) - int(origin.y), ivec2(0, -1));
     rows = min(rows, int(COARSE_HEIGHT_PX) - 1) / int(FINE_TILE_PX);
+    Edges edges = edges_of(splat);
     for (int row = rows.x; row <= rows.y; ++row) {
         float top = float(origin.y + uint(row) * FINE_TILE_PX);
-        ivec2 columns = reached_columns(splat, top + 0.5, top + float(FINE_TILE_PX) - 0.5, size_px.x) - int(origin.x);
+        ivec2 columns = reached_columns(splat, edges, top + 0.5, top + float(FINE_TILE_PX) - 0.5, size_px.x) - int(origin.x);
         if (columns.x > columns.y || columns.y < 0 || columns.x >= int(COARSE_WIDTH_PX)) {
             continue;
         }

@@ -55,31 +55,42 @@ ivec2 reached_rows(Footprint splat, uint height_px) {
     return pixels_between(splat.mean_px.y - half_height, splat.mean_px.y + half_height, height_px);
 }
 
-// Columns of pixels [first, last] the splat can reach in the rows whose centers lie in [low_y,
-// high_y].
-//
-// In v = d.y * rate_y the ellipse's left and right edges are x = A v -+ B sqrt(r2 - v^2), A = slope
-// / rate_y, B = 1 / rate_x. The right edge is concave in v with its top at v = r A / sqrt(A^2 +
-// B^2), the left edge is its mirror image: the extreme over a strip is at that v, moved into the
-// strip.
-ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px) {
+// Left and right edge of the ellipse that a splat can reach. In v = d.y * rate_y they are
+// x = A v -+ B sqrt(r2 - v^2), A = slope / rate_y, B = 1 / rate_x. The right edge is concave in v
+// with its top at v = r A / sqrt(A^2 + B^2), the left edge is its mirror image: the extreme over a
+// strip is at that v, moved into the strip.
+struct Edges {
+    float r2;
+    float r;
+    float a;
+    float b;
+    float top_v;
+    float rounding; // of the edges themselves, which needles of 10^5 pixels make visible, pixels
+};
+
+Edges edges_of(Footprint splat) {
     precise float r2 = squared_radius(splat.log2_opacity) + SQUARED_RADIUS_SLACK;
     precise float r = sqrt(r2);
-    precise float low_v = max((low_y - splat.mean_px.y) * splat.rate_y, -r);
-    precise float high_v = min((high_y - splat.mean_px.y) * splat.rate_y, r);
-    if (!(low_v <= high_v)) {
-        return ivec2(0, -1);
-    }
     precise float a = splat.slope / splat.rate_y;
     precise float b = 1.0 / splat.rate_x;
     precise float top_v = r * a * inversesqrt(a * a + b * b);
-    precise float right_v = clamp(top_v, low_v, high_v);
-    precise float left_v = clamp(-top_v, low_v, high_v);
-    precise float right = a * right_v + b * sqrt(max(r2 - right_v * right_v, 0.0));
-    precise float left = a * left_v - b * sqrt(max(r2 - left_v * left_v, 0.0));
-    // Rounding of the edges themselves, which needles of 10^5 pixels make visible.
     precise float rounding = 1e-6 * (abs(a) * r + b * r);
-    return pixels_between(splat.mean_px.x + left - rounding, splat.mean_px.x + right + rounding, width_px);
+    return Edges(r2, r, a, b, top_v, rounding);
+}
+
+// Columns of pixels [first, last] the splat can reach in the rows whose centers lie in [low_y,
+// high_y]. `edges` are those of the splat.
+ivec2 reached_columns(Footprint splat, Edges edges, float low_y, float high_y, uint width_px) {
+    precise float low_v = max((low_y - splat.mean_px.y) * splat.rate_y, -edges.r);
+    precise float high_v = min((high_y - splat.mean_px.y) * splat.rate_y, edges.r);
+    if (!(low_v <= high_v)) {
+        return ivec2(0, -1);
+    }
+    precise float right_v = clamp(edges.top_v, low_v, high_v);
+    precise float left_v = clamp(-edges.top_v, low_v, high_v);
+    precise float right = edges.a * right_v + edges.b * sqrt(max(edges.r2 - right_v * right_v, 0.0));
+    precise float left = edges.a * left_v - edges.b * sqrt(max(edges.r2 - left_v * left_v, 0.0));
+    return pixels_between(splat.mean_px.x + left - edges.rounding, splat.mean_px.x + right + edges.rounding, width_px);
 }
 
 // Coarse tiles [x, y] of row `row` of the camera's tiles that the splat can reach; empty when x >
@@ -87,7 +98,7 @@ ivec2 reached_columns(Footprint splat, float low_y, float high_y, uint width_px)
 ivec2 reached_coarse_tiles(Footprint splat, uint row, uvec2 size_px) {
     float top = float(row * COARSE_HEIGHT_PX);
     float bottom = min(top + float(COARSE_HEIGHT_PX), float(size_px.y));
-    ivec2 columns = reached_columns(splat, top + 0.5, bottom - 0.5, size_px.x);
+    ivec2 columns = reached_columns(splat, edges_of(splat), top + 0.5, bottom - 0.5, size_px.x);
     return columns.x > columns.y ? ivec2(0, -1) : columns / int(COARSE_WIDTH_PX);
 }
 

@@ -114,8 +114,8 @@ struct ViewLists {
     uint first_moving;
 };
 
-// Records handled by one workgroup of count_pairs and fill_pairs.
-const uint PAIR_BLOCK = 1024u;
+// Records handled by one workgroup of count_pairs and fill_pairs, one by each thread.
+const uint PAIR_BLOCK = 256u;
 
 // Of records with many coarse tiles, those handled by one workgroup of fill_pairs. A power of two.
 const uint LARGE_BLOCK = 32u;

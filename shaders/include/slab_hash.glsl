@@ -2,10 +2,10 @@
 // `slab_counts`: neighbors in the list of records are neighbors in the scene, so that many have the
 // same.
 //
-// A hash table in shared memory. What finds no place in it is added by itself.
+// A hash table in shared memory, a slot per thread. What finds no place in it is added by itself.
 
-const uint HASH_BITS = 9u;
-const uint HASH_SLOTS = 1u << HASH_BITS;
+const uint HASH_BITS = 8u;
+const uint HASH_SLOTS = 1u << HASH_BITS; // PAIR_BLOCK
 const uint NO_SLAB = 0xffffffffu;
 const uint NO_SLOT = 0xffffffffu;
 
@@ -14,10 +14,8 @@ shared uint hash_counts[HASH_SLOTS]; // its pairs
 
 // A barrier must follow.
 void empty_hash(uint thread) {
-    for (uint slot = thread; slot < HASH_SLOTS; slot += WORKGROUP_THREADS) {
-        hash_slabs[slot] = NO_SLAB;
-        hash_counts[slot] = 0u;
-    }
+    hash_slabs[thread] = NO_SLAB;
+    hash_counts[thread] = 0u;
 }
 
 // The slot of a slab, or NO_SLOT if two others have taken its places.

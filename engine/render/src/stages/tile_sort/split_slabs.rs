@@ -6,8 +6,9 @@ use super::{Records, TileSortBuffers};
 use crate::interfaces::split_slabs::{Bindings, Constants, Module, Push};
 use crate::stages::{FrameCounters, IndirectArguments};
 
-/// Bins of a slab, and threads at most.
-const SLAB_BINS: u32 = 1024;
+/// Threads of a workgroup, at most. Two workgroups of 512 share a multiprocessor of NVIDIA, where
+/// one of 1,024 has it to itself.
+const THREADS_MAX: u32 = 512;
 
 /// `split_slabs.comp`.
 pub struct SplitSlabs {
@@ -21,7 +22,7 @@ impl SplitSlabs {
     /// [`GpuError`]: the driver refuses the kernel.
     pub fn new(gpu: &Gpu, radial: bool) -> Result<Self, GpuError> {
         // A power of two. Devices have 128 at least.
-        let workgroup_threads = 1 << gpu.limits().workgroup_threads_max.min(SLAB_BINS).ilog2();
+        let workgroup_threads = 1 << gpu.limits().workgroup_threads_max.min(THREADS_MAX).ilog2();
         Ok(Self {
             kernel: gpu.kernel(&Constants {
                 radial,
