@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use decouplegs::render::{
-    Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameStatistics, GpuScene, Image, ListSource,
-    Outputs, Plane, Planes, RenderOptions, Renderer, Scene,
+    Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameStatistics, Image, ListSource, Outputs,
+    Plane, Planes, RenderOptions, Renderer, ResidentSplats, Scene,
 };
 use decouplegs::scene::{
     Camera, DepthOrder, Fog, Pose, Rules, Shutter, ShutterDirection, SplatScene,
@@ -68,7 +68,7 @@ impl Site {
         }
     }
 
-    fn renderer(&self, keep_lists: bool, options: RenderOptions) -> (Renderer, GpuScene) {
+    fn renderer(&self, keep_lists: bool, options: RenderOptions) -> (Renderer, ResidentSplats) {
         let renderer = Renderer::new(
             &self.gpu,
             RenderOptions {
@@ -82,7 +82,12 @@ impl Site {
     }
 
     /// Frames with the cameras at `stops`, one stop per frame, drawn by `renderer`.
-    fn drive(&self, renderer: &mut Renderer, world: &GpuScene, stops: &[usize]) -> Vec<Shown> {
+    fn drive(
+        &self,
+        renderer: &mut Renderer,
+        world: &ResidentSplats,
+        stops: &[usize],
+    ) -> Vec<Shown> {
         let depth = renderer.options().frames_in_flight;
         let mut shown = Vec::new();
         for step in 0..stops.len() + depth - 1 {

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use decouplegs::render::layout::BeamState;
 use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
 use decouplegs::render::{
-    Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage, TracedSweep,
+    Agent, AssetPool, LidarOptions, LidarRenderer, ResidentSplats, Scene, Storage, TracedSweep,
 };
 use decouplegs::scene::lidar::{
     Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, ReturnOptions, Spin,
@@ -258,7 +258,7 @@ fn trace(gpu: &Validated, world: &SplatScene, lidar: &Lidar, sectors: usize) -> 
         rules: world.rules,
         sectors,
     };
-    let resident = GpuScene::upload(gpu, world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(gpu, world, Storage::Exact).unwrap();
     let mut renderer = LidarRenderer::new(gpu, options);
     renderer
         .trace(&resident, lidar, ReturnMode::Median)
@@ -311,7 +311,7 @@ fn splats_of_the_sky_are_seen_and_not_met() {
     let traced = trace(&gpu, &world, &lidar, 8);
     assert_eq!(traced.states, trace(&gpu, &met, &lidar, 8).states);
     assert_ne!(traced.states, all.states);
-    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap();
     assert_eq!(resident.splats, splats);
     assert_eq!(resident.for_lidar().splats, splats / 2);
 }
@@ -320,7 +320,7 @@ fn splats_of_the_sky_are_seen_and_not_met() {
 fn dual_returns_are_their_definition() {
     let gpu = Validated::open();
     let world = surroundings(3000, 4);
-    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap();
     let mut renderer = LidarRenderer::new(&gpu, LidarOptions::default());
     for (what, model) in models() {
         let lidar = lidar_at(model, world.origin, Motion::REST);
@@ -432,7 +432,7 @@ fn sweeps_in_motion_are_their_definition() {
             },
         ),
     ];
-    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(&gpu).unwrap();
     let agents: Vec<Agent> = (cars.iter().zip(moving).enumerate())
         .map(|(index, (car, (pose, motion)))| Agent {

@@ -3,7 +3,7 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference,
+    Agent, AssetPool, Image, RenderError, RenderOptions, Renderer, ResidentSplats, Scene, reference,
 };
 use decouplegs::scene::light::{LightFrom, LitShare, SHADING_LIGHTS, Shading, bake_shadows};
 use decouplegs::scene::{
@@ -152,7 +152,7 @@ impl Case {
 /// A world and its assets on the device.
 struct Stage {
     renderer: Renderer,
-    world: GpuScene,
+    world: ResidentSplats,
     pool: AssetPool,
     assets: Vec<decouplegs::render::AssetId>,
 }

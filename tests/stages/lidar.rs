@@ -19,7 +19,7 @@ use decouplegs::render::twins::lidar::{
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::sh::Stored;
 use decouplegs::render::twins::stored_splat::load_shape;
-use decouplegs::render::{GpuScene, Storage};
+use decouplegs::render::{ResidentSplats, Storage};
 use decouplegs::scene::lidar::Beam;
 use decouplegs::scene::rules::LIDAR_DILATION_RAD;
 use decouplegs::scene::{Lidar, Motion, Pose, Rules, SplatScene};
@@ -69,7 +69,7 @@ impl Listed {
             Vec::new(),
         );
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
-        let scene = GpuScene::upload(gpu, world, storage).unwrap();
+        let scene = ResidentSplats::upload(gpu, world, storage).unwrap();
         let mut sectors = SectorBuffers::new(gpu).unwrap();
         sectors.set(gpu, &view, &cut.tables).unwrap();
         let capacity = Capacity {

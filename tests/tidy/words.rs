@@ -194,7 +194,7 @@ const RETIRED_WORDS: &[(&str, &str)] = &[
     (concat!("every", "body"), "all vehicles"),
     (concat!("made ", "up"), "synthetic, generated"),
     (concat!("looked ", "at"), "examined"),
-    (concat!("resident", "world"), "GpuScene"),
+    (concat!("resident", "world"), "ResidentSplats"),
     (concat!("frame", "slot"), "FrameInFlight"),
     (concat!("yard", "stick"), "QualityMeter"),
     (concat!("show", "case"), "ExampleCrops"),

@@ -156,7 +156,7 @@ impl Reinsertion<'_> {
         for &time_s in moments_s {
             let truth = self.stage.truth(self.cars, time_s);
             let sample = self.sample(&mut renderer, &truth, time_s)?;
-            renderer.render(&live.gpu_scene, &sample.cameras)?;
+            renderer.render(&live.background, &sample.cameras)?;
             let empty = renderer.read_images()?;
             let mut drawn = Vec::new();
             for (&arm, errors) in Arm::ALL.iter().zip(&mut errors) {
@@ -344,7 +344,7 @@ impl Reinsertion<'_> {
             });
         }
         renderer.render(
-            Scene::with_agents(&live.gpu_scene, &pool, &agents),
+            Scene::with_agents(&live.background, &pool, &agents),
             &sample.cameras,
         )?;
         Ok(renderer.read_images()?)

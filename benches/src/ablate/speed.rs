@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{ColorFormat, GpuScene, Outputs, RenderOptions, Renderer};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, ResidentSplats};
 use decouplegs::scene::SplatScene;
 use decouplegs::{LiveScene, asset::LoadedScene};
 
@@ -75,7 +75,7 @@ impl<'a> Speed<'a> {
     pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> SplatScene) -> Result<Measured> {
         let mut renderer = self.renderer(false, 1);
         // Kept until the next frame: this one is drawn from it.
-        let mut shown: Option<GpuScene> = None;
+        let mut shown: Option<ResidentSplats> = None;
         self.drive(&mut renderer, |renderer, time_s| {
             let splat_scene = SplatScene {
                 instance_from_splat: Vec::new(),

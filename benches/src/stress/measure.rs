@@ -6,7 +6,8 @@ use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use decouplegs::render::{
-    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, SHAPE_WORDS,
+    ColorFormat, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, ResidentSplats,
+    SHAPE_WORDS,
 };
 use decouplegs::scene::{Camera, CodedCloud, DetailLevels, SplatScene};
 
@@ -32,7 +33,7 @@ pub struct TestRig<'a> {
 
 /// A scene on the device.
 enum Resident {
-    Copies(Box<GpuScene>),
+    Copies(Box<ResidentSplats>),
     Live(Box<LiveScene>),
 }
 

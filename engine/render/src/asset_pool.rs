@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::layout::{AgentRecord, CLUSTER_SPLATS, ClusterRecord};
 use crate::range_allocator::RangeAllocator;
-use crate::resident::{Extent, cluster_of};
+use crate::resident_splats::{Extent, cluster_of};
 use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of assets is counted.

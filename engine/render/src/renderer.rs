@@ -1,4 +1,4 @@
-//! Draws worlds: the public face of the frame.
+//! Draws frames: their public interface.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -20,7 +20,7 @@ use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
 use crate::output::OutputBuffers;
 use crate::post_processing::{PhotometryRecord, RayTables};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::slot::FrameInFlight;
 use crate::stages::{AgentVariant, CameraVariant, ProjectVariant, RecordContents};
 use crate::submitted::{FrameContents, ShownFrame, SubmittedFrame};
@@ -33,7 +33,7 @@ const SPLATS_MAX: usize = 1 << 27;
 /// it hid.
 const ATTEMPTS_MAX: u32 = 6;
 
-/// Draws worlds on one device with one set of options. Buffers are kept from frame to frame and
+/// Draws frames on one device with one set of options. Buffers are kept from frame to frame and
 /// grow as needed.
 pub struct Renderer {
     gpu: Gpu,
@@ -54,7 +54,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer on `gpu`. Kernels are built when the first world of a kind is drawn.
+    /// A renderer on `gpu`. Kernels are built when the first frame of a kind is drawn.
     #[must_use]
     pub fn new(gpu: &Gpu, options: RenderOptions) -> Self {
         Self {
@@ -103,7 +103,7 @@ impl Renderer {
     ///
     /// # Errors
     /// Returns an error if it has too many splats, or the device not the memory.
-    pub fn upload(&self, splat_scene: &SplatScene) -> Result<GpuScene, RenderError> {
+    pub fn upload(&self, splat_scene: &SplatScene) -> Result<ResidentSplats, RenderError> {
         let splats = match self.options.background_pitch_px {
             None => splat_scene.splats.len(),
             Some(_) => DetailLevels::splats_at_most(splat_scene.splats.len()),
@@ -115,8 +115,10 @@ impl Renderer {
             });
         }
         match self.options.background_pitch_px {
-            None => GpuScene::upload(&self.gpu, splat_scene, self.options.storage),
-            Some(_) => GpuScene::upload_with_levels(&self.gpu, splat_scene, self.options.storage),
+            None => ResidentSplats::upload(&self.gpu, splat_scene, self.options.storage),
+            Some(_) => {
+                ResidentSplats::upload_with_levels(&self.gpu, splat_scene, self.options.storage)
+            }
         }
     }
 
@@ -160,7 +162,7 @@ impl Renderer {
         let decision = if self.options.keep_keys {
             keys.decide(
                 &self.gpu,
-                scene.gpu_scene,
+                scene.background,
                 &contents.view,
                 &self.options.rules,
             )?
@@ -214,23 +216,23 @@ impl Renderer {
         scene.check_motions(cameras, self.flow_interval_s())?;
         let view = View::new(
             cameras,
-            scene.gpu_scene.origin,
+            scene.background.origin,
             self.distance_max_m(scene, cameras)?,
         )
         .map_err(RenderError::View)?;
         let near_m = near_m(&options.rules);
         let agents = AgentList::new(scene, cameras, &view, near_m, options.level_pitch_px)?;
         let (mut processed, mut photometry) = (Vec::new(), Vec::new());
-        if scene.gpu_scene.is_post_processed(cameras) {
-            let sky = scene.gpu_scene.sky_map.as_ref();
+        if scene.background.is_post_processed(cameras) {
+            let sky = scene.background.sky_map.as_ref();
             processed = self.ray_tables.seen_by(&self.gpu, sky, cameras)?;
             let calibrations = cameras
                 .iter()
-                .map(|camera| scene.gpu_scene.photometry_of(camera));
+                .map(|camera| scene.background.photometry_of(camera));
             photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
         }
         let mut contents = FrameContents {
-            gpu_scene: scene.gpu_scene.clone(),
+            background: scene.background.clone(),
             variant: self.variant(scene, &view, agents.as_ref(), !processed.is_empty()),
             view,
             agents,
@@ -258,17 +260,17 @@ impl Renderer {
         let labels = RecordContents::for_outputs(&options.outputs).labels;
         FrameVariant {
             background: ProjectVariant {
-                sh_degree: scene.gpu_scene.sh_degree.min(options.sh_degree_max),
+                sh_degree: scene.background.sh_degree.min(options.sh_degree_max),
                 labels,
-                instances: scene.gpu_scene.has_instances
+                instances: scene.background.has_instances
                     && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
                 shadows: !scene.shadows.is_empty(),
                 shadows_by_camera: scene.shadow_cameras.is_some(),
                 cameras: CameraVariant::for_cameras(&view.cameras, &view.lenses),
                 planes: options.outputs.planes,
-                fog: scene.gpu_scene.fog.is_some(),
-                storage: scene.gpu_scene.storage,
+                fog: scene.background.fog.is_some(),
+                storage: scene.background.storage,
             },
             post_processed,
             // That of all assets, in view or not: building kernels in the middle of a drive
@@ -286,7 +288,7 @@ impl Renderer {
                         &view.lenses,
                     ),
                     planes: options.outputs.planes,
-                    fog: scene.gpu_scene.fog.is_some(),
+                    fog: scene.background.fog.is_some(),
                 }),
         }
     }
@@ -419,7 +421,7 @@ impl Renderer {
         // Distances count from the camera, depths from the origin.
         Ok(if self.options.rules.order == DepthOrder::Radial {
             let from_origin = |camera: &Camera| {
-                (camera.world_from_camera.translation - scene.gpu_scene.origin).length()
+                (camera.world_from_camera.translation - scene.background.origin).length()
             };
             cameras.iter().map(from_origin).fold(0.0, f64::max) + distance_max_m
         } else {
@@ -516,7 +518,7 @@ impl Renderer {
                 .capacity
                 .unwrap_or_else(|| Capacity::guess(contents.splats(), view.cameras.len())),
             cameras: view.cameras.len(),
-            clusters: contents.gpu_scene.cluster_count(),
+            clusters: contents.background.cluster_count(),
             bins: view.bins,
             blended_pixels: match contents.processed.is_empty() {
                 true => 0,

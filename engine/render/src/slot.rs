@@ -125,7 +125,7 @@ impl FrameInFlight {
         contents: &mut FrameContents,
     ) -> Result<(), RenderError> {
         let view = &contents.view;
-        let splats = scene.gpu_scene.splats;
+        let splats = scene.background.splats;
         let room = (view.pixels, splats * usize::from(outputs.contributions));
         if self.room != room {
             // The old ones go first: both would not always fit.
@@ -157,8 +157,9 @@ impl FrameInFlight {
     }
 
     fn load_shadows(&mut self, gpu: &Gpu, scene: &Scene<'_>) -> Result<(), RenderError> {
-        let (gpu_scene, shadows, cameras) = (scene.gpu_scene, scene.shadows, scene.shadow_cameras);
-        let (room, clusters) = (self.shadow_room, gpu_scene.cluster_count());
+        let (background, shadows, cameras) =
+            (scene.background, scene.shadows, scene.shadow_cameras);
+        let (room, clusters) = (self.shadow_room, background.cluster_count());
         if shadows.len() > room.0 || clusters > room.1 {
             let wanted = if shadows.len() > room.0 {
                 shadows.len() + shadows.len() / 4
@@ -172,7 +173,7 @@ impl FrameInFlight {
         }
         let record = |(index, shadow): (usize, &GroundShadow)| ShadowRecord {
             cameras: cameras.map_or(u32::MAX, |cameras| cameras[index]),
-            ..ShadowRecord::new(shadow, gpu_scene.origin)
+            ..ShadowRecord::new(shadow, background.origin)
         };
         let records: Vec<ShadowRecord> = shadows.iter().enumerate().map(record).collect();
         self.staged_shadows.write_host(0, &records);

@@ -184,7 +184,7 @@ impl AgentBatch {
         Scene {
             shadows: &self.shadows,
             shadow_cameras: self.shadow_cameras.as_deref(),
-            ..Scene::with_agents(&live.gpu_scene, &live.pool, &self.agents)
+            ..Scene::with_agents(&live.background, &live.pool, &self.agents)
         }
     }
 }

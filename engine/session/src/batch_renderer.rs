@@ -336,7 +336,7 @@ impl BatchRenderer {
         };
         let agents: Vec<Vec<Agent>> = sweeps.iter().map(agents_of).collect();
         let views = sweeps.iter().zip(&agents).map(|(sweep, agents)| LidarView {
-            scene: Scene::with_agents(&live.gpu_scene, &live.pool, agents),
+            scene: Scene::with_agents(&live.background, &live.pool, agents),
             lidar: &sweep.lidar,
             mode: sweep.mode,
         });

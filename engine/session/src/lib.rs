@@ -439,13 +439,13 @@ impl SessionScene {
 
     /// True if images of `cameras` are post-processed.
     pub(crate) fn is_post_processed(&self, cameras: &[Camera]) -> bool {
-        self.live().gpu_scene.is_post_processed(cameras)
+        self.live().background.is_post_processed(cameras)
     }
 
     /// Splats of the background.
     #[must_use]
     pub fn background_splats(&self) -> usize {
-        self.live().gpu_scene.splats
+        self.live().background.splats
     }
 
     /// Sums up the light about `positions`, so that frames find it ready.

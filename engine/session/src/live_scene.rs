@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
-use decouplegs_render::{Agent, AssetId, AssetPool, GpuScene, RenderError, Renderer, Scene};
+use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentSplats, Scene};
 use decouplegs_scene::light::Lighting;
 use decouplegs_scene::{CodedCloud, GroundShadow, Motion, Pose, ShFrame};
 use glam::DVec3;
@@ -35,7 +35,7 @@ use glam::DVec3;
 /// ```
 pub struct LiveScene {
     /// The background.
-    pub gpu_scene: GpuScene,
+    pub background: ResidentSplats,
     /// The agents' assets.
     pub pool: AssetPool,
     assets: Vec<LiveAsset>,
@@ -121,7 +121,7 @@ impl LiveScene {
         layer: Layer,
     ) -> Result<Self, RenderError> {
         let mut live = Self {
-            gpu_scene: renderer.upload(&loaded.standing(layer))?,
+            background: renderer.upload(&loaded.standing(layer))?,
             pool: AssetPool::new(renderer.gpu())?,
             assets: Vec::new(),
             agents: Vec::new(),
@@ -277,7 +277,7 @@ impl LiveScene {
     pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> Scene<'a> {
         Scene {
             shadows: &moment.shadows,
-            ..Scene::with_agents(&self.gpu_scene, &self.pool, &moment.agents)
+            ..Scene::with_agents(&self.background, &self.pool, &moment.agents)
         }
     }
 }

@@ -5,7 +5,9 @@ use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::TracedSweep;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
-use decouplegs::render::{Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage};
+use decouplegs::render::{
+    Agent, AssetPool, LidarOptions, LidarRenderer, ResidentSplats, Scene, Storage,
+};
 use decouplegs::scene::lidar::{LidarModel, PointFrame, ReturnMode, ReturnOptions, Spin};
 use decouplegs::scene::{Motion, Pose, Rules};
 use decouplegs::session::{RigSweep, Session, SessionError, SessionOptions, World};
@@ -64,7 +66,8 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
     let traced = renderer.trace(&world, &lidar, sweep_s, mode).unwrap();
 
     // The same as a renderer finds, which is given the agent at the start.
-    let resident = GpuScene::upload(session.gpu(), &loaded.splat_scene, Storage::Exact).unwrap();
+    let resident =
+        ResidentSplats::upload(session.gpu(), &loaded.splat_scene, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(session.gpu()).unwrap();
     let asset = pool.add(&loaded.assets[0]).unwrap();
     let agents = [Agent {
@@ -124,7 +127,7 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
 /// as a share of the latter, and the number of beams that meet some.
 fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (f64, usize) {
     let world = surroundings(0, 1);
-    let resident = GpuScene::upload(gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(gpu, &world, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(gpu).unwrap();
     let mut agents = Vec::new();
     for &(pose, seed) in listed {

@@ -18,7 +18,7 @@ use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
 use crate::layout::{
     AgentRecord, CameraRecord, RelightRecord, ShadingRecord, View, check_motion, exposed_within_s,
 };
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::stages::AgentCounts;
 use crate::twins;
 
@@ -75,7 +75,7 @@ impl Agent {
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
     /// The background.
-    pub gpu_scene: &'a GpuScene,
+    pub background: &'a ResidentSplats,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
     pub agents: Option<(&'a AssetPool, &'a [Agent])>,
     /// Shadows on the ground of the background. They multiply, and need not be those of agents that
@@ -85,10 +85,10 @@ pub struct Scene<'a> {
     pub shadow_cameras: Option<&'a [u32]>,
 }
 
-impl<'a> From<&'a GpuScene> for Scene<'a> {
-    fn from(gpu_scene: &'a GpuScene) -> Self {
+impl<'a> From<&'a ResidentSplats> for Scene<'a> {
+    fn from(background: &'a ResidentSplats) -> Self {
         Self {
-            gpu_scene,
+            background,
             agents: None,
             shadows: &[],
             shadow_cameras: None,
@@ -99,9 +99,13 @@ impl<'a> From<&'a GpuScene> for Scene<'a> {
 impl<'a> Scene<'a> {
     /// A background with agents, without shadows.
     #[must_use]
-    pub fn with_agents(gpu_scene: &'a GpuScene, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
+    pub fn with_agents(
+        background: &'a ResidentSplats,
+        pool: &'a AssetPool,
+        agents: &'a [Agent],
+    ) -> Self {
         Self {
-            gpu_scene,
+            background,
             agents: Some((pool, agents)),
             shadows: &[],
             shadow_cameras: None,
@@ -147,7 +151,7 @@ impl Scene<'_> {
 
     /// No mean that is drawn is farther from the world's origin, meters.
     pub(crate) fn distance_max_m(&self) -> Result<f64, RenderError> {
-        let mut distance_max_m = self.gpu_scene.distance_max_m;
+        let mut distance_max_m = self.background.distance_max_m;
         if let Some(cameras) = self.shadow_cameras {
             assert!(
                 cameras.len() == self.shadows.len(),
@@ -191,7 +195,7 @@ impl Scene<'_> {
                 });
             }
             distance_max_m = distance_max_m.max(
-                (pose.translation - self.gpu_scene.origin).length()
+                (pose.translation - self.background.origin).length()
                     + pool.asset(agent.asset)?.distance_max_m(),
             );
         }
@@ -239,7 +243,7 @@ impl AgentList {
         for agent in agents {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
-            let origin = scene.gpu_scene.origin;
+            let origin = scene.background.origin;
             let may_see = |index: usize| agent.cameras >> index & 1 == 1;
             // Records of cameras that may not see it are never read.
             let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
@@ -296,7 +300,7 @@ impl AgentList {
                 let pose = agent.world_from_agent.moved(&agent.motion, times_s[index]);
                 let (record, sector) = (&view.cameras[index], &sectors[index]);
                 record
-                    .moved_into(sector, scene.gpu_scene.origin, &pose)
+                    .moved_into(sector, scene.background.origin, &pose)
                     .moving(sector, &agent.motion)
             };
             let seen_by = (0..sectors.len()).map(seen_by).collect();

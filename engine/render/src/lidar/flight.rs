@@ -74,7 +74,7 @@ impl LidarRenderer {
         input: SweepInput<'a>,
         capacity: Capacity,
     ) -> Result<SweepInFlight<'a>, RenderError> {
-        let clusters = input.scene.gpu_scene.finest_clusters;
+        let clusters = input.scene.background.finest_clusters;
         let (beams, echoes) = (input.grid.beams.len(), input.variant.echoes);
         let room = LidarRoom::new(capacity, clusters, &input.view, beams, echoes);
         let buffers = self.buffers_of(&room)?;
@@ -196,8 +196,8 @@ impl LidarRenderer {
             unreachable!("build was called")
         };
         let written = &input.written;
-        let (gpu_scene, sectors) = (input.scene.gpu_scene, &written.sectors);
-        let lists = sectors.count * gpu_scene.finest_clusters;
+        let (background, sectors) = (input.scene.background, &written.sectors);
+        let lists = sectors.count * background.finest_clusters;
         let agents = input.agents.as_ref().map(|list| LidarAgents {
             pool: &list.pool,
             agents: &written.agents.buffers,
@@ -212,10 +212,10 @@ impl LidarRenderer {
             empty_counts(r, buffers, sectors.bins);
         });
         recorder.stage("project lidar", |r| {
-            let background = &stages.background;
-            background.record(r, LidarPass::Mark, gpu_scene, sectors, buffers);
+            let project = &stages.background;
+            project.record(r, LidarPass::Mark, background, sectors, buffers);
             scan.record(r, &buffers.visible.counts, &buffers.offsets, lists);
-            background.record(r, LidarPass::Write, gpu_scene, sectors, buffers);
+            project.record(r, LidarPass::Write, background, sectors, buffers);
         });
         if let Some(agents) = &agents {
             recorder.stage("project lidar agents", |r| {
@@ -237,7 +237,7 @@ impl LidarRenderer {
             camera_count: sectors.count,
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
-            static_clusters: gpu_scene.finest_clusters,
+            static_clusters: background.finest_clusters,
             moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
             moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
             moving_only: false,

@@ -208,7 +208,7 @@ impl LidarRenderer {
             lidar,
             mode,
         } = *view;
-        scene.gpu_scene = scene.gpu_scene.for_lidar();
+        scene.background = scene.background.for_lidar();
         let of_lidar = |reason| RenderError::Lidar {
             name: lidar.name.clone(),
             reason,
@@ -224,7 +224,7 @@ impl LidarRenderer {
         let mut written = self.written()?;
         let records = std::mem::take(&mut written.records);
         let cut = Sectors::new(lidar, &grid.cells, &grid.plan, records);
-        let origin = scene.gpu_scene.origin;
+        let origin = scene.background.origin;
         let from_origin = |camera: &decouplegs_scene::Camera| {
             (camera.world_from_camera.translation - origin).length()
         };
@@ -237,11 +237,11 @@ impl LidarRenderer {
             agents.any(|agent| !agent.motion.is_rest())
         };
         let variant = LidarVariant {
-            instances: scene.gpu_scene.has_instances,
+            instances: scene.background.has_instances,
             moving: !lidar.motion.is_rest() || agents_move(),
             dilation_rad: self.options.rules.lidar_dilation_rad as f32,
             echoes: mode == ReturnMode::Dual,
-            storage: scene.gpu_scene.storage,
+            storage: scene.background.storage,
             beam_lanes: beam_lanes(&self.gpu, grid.beams.len()),
         };
         written.sectors.set(&self.gpu, &view, &cut.tables)?;
@@ -260,7 +260,7 @@ impl LidarRenderer {
             variant,
             written,
         };
-        let splats = scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
+        let splats = scene.background.finest_clusters * CLUSTER_SPLATS
             + input.agents.as_ref().map_or(0, |list| list.splats);
         let capacity = match self.capacity {
             Some(capacity) => capacity,
