@@ -3,7 +3,8 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    Image, LidarOptions, LidarRenderer, RenderOptions, Renderer, ResidentSplats, Scene, Storage,
+    FrameSplats, Image, LidarOptions, LidarRenderer, RenderOptions, Renderer, ResidentSplats,
+    Storage,
 };
 use decouplegs::scene::lidar::ReturnMode;
 use decouplegs::scene::{Camera, DetailLevels, Motion, Pose, Rules, SplatScene};
@@ -162,7 +163,7 @@ fn lidars_meet_the_finest_level() {
     let lidar = lidar_at(model, center, Motion::REST);
     let [plain, with_levels] = scenes.map(|scene| {
         let mut renderer = LidarRenderer::new(&gpu, LidarOptions::default());
-        let traced = renderer.trace(Scene::from(&scene), &lidar, ReturnMode::Strongest);
+        let traced = renderer.trace(FrameSplats::from(&scene), &lidar, ReturnMode::Strongest);
         traced.unwrap().states
     });
     assert!(plain.iter().any(|state| state.transmittance < 0.5));

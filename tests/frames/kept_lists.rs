@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use decouplegs::render::{
-    Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameStatistics, Image, ListSource, Outputs,
-    Plane, Planes, RenderOptions, Renderer, ResidentSplats, Scene,
+    Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameSplats, FrameStatistics, Image,
+    ListSource, Outputs, Plane, Planes, RenderOptions, Renderer, ResidentSplats,
 };
 use decouplegs::scene::{
     Camera, DepthOrder, Fog, Pose, Rules, Shutter, ShutterDirection, SplatScene,
@@ -93,7 +93,7 @@ impl Site {
         for step in 0..stops.len() + depth - 1 {
             if let Some(&stop) = stops.get(step) {
                 let cars = cars(self.car, step);
-                let scene = Scene::with_agents(world, &self.pool, &cars);
+                let scene = FrameSplats::with_agents(world, &self.pool, &cars);
                 renderer.submit(scene, &(self.rig)(stop)).unwrap();
             }
             if step + 1 >= depth {
@@ -356,7 +356,7 @@ fn another_background_and_taken_images_are_drawn_anew() {
         let mut taken = Vec::new();
         for step in 0..20 {
             let cars = cars(site.car, step % 5);
-            let scene = Scene::with_agents(worlds[step / 5], &site.pool, &cars);
+            let scene = FrameSplats::with_agents(worlds[step / 5], &site.pool, &cars);
             let statistics = renderer.render(scene, &rig(0)).unwrap();
             frames.push((statistics, renderer.read_images().unwrap()));
             // Others may write into images that they took, and give them back.
@@ -383,9 +383,9 @@ fn shadows_and_contributions_rule_kept_lists_out() {
     let (mut renderer, world) = site.renderer(true, RenderOptions::default());
     let shadows = [shadow(DVec3::new(8.0, 1.0, -0.6), 0.3, 0.9)];
     for _ in 0..4 {
-        let scene = Scene {
+        let scene = FrameSplats {
             shadows: &shadows,
-            ..Scene::from(&world)
+            ..FrameSplats::from(&world)
         };
         let statistics = renderer.render(scene, &rig(0)).unwrap();
         assert_eq!(statistics.lists, ListSource::Sorted);

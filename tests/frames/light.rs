@@ -3,7 +3,8 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    Agent, AssetPool, Image, RenderError, RenderOptions, Renderer, ResidentSplats, Scene, reference,
+    Agent, AssetPool, FrameSplats, Image, RenderError, RenderOptions, Renderer, ResidentSplats,
+    reference,
 };
 use decouplegs::scene::light::{LightFrom, LitShare, SHADING_LIGHTS, Shading, bake_shadows};
 use decouplegs::scene::{
@@ -189,9 +190,9 @@ impl Stage {
 
     /// Draws; returns how many codebooks were relit for it.
     fn relit(&mut self, agents: &[Agent], shadows: &[GroundShadow], cameras: &[Camera]) -> usize {
-        let scene = Scene {
+        let scene = FrameSplats {
             shadows,
-            ..Scene::with_agents(&self.world, &self.pool, agents)
+            ..FrameSplats::with_agents(&self.world, &self.pool, agents)
         };
         self.renderer.render(scene, cameras).unwrap().relit
     }
@@ -398,9 +399,9 @@ fn light_and_shadows_that_are_none_are_refused() {
         strength: f64::NAN,
         ..case.shadows[0]
     }];
-    let scene = Scene {
+    let scene = FrameSplats {
         shadows: &nowhere,
-        ..Scene::from(&stage.world)
+        ..FrameSplats::from(&stage.world)
     };
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
     assert!(
@@ -411,7 +412,7 @@ fn light_and_shadows_that_are_none_are_refused() {
     let mut dark = some_transfer(1);
     dark.offset[3][1] = f32::INFINITY;
     agents[2].relight = Some(dark);
-    let scene = Scene::with_agents(&stage.world, &stage.pool, &agents);
+    let scene = FrameSplats::with_agents(&stage.world, &stage.pool, &agents);
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
     assert!(
         matches!(error, RenderError::AgentLight { instance: 3 }),

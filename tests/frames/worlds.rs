@@ -7,8 +7,8 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, Plane, RenderError, RenderOptions,
-    Renderer, Scene,
+    Agent, AssetPool, ColorFormat, FrameSplats, Image, ImageBytes, Outputs, Plane, RenderError,
+    RenderOptions, Renderer,
 };
 use decouplegs::scene::{Camera, Pose, Presence, Rules, ShFrame, Trajectory};
 use decouplegs::session::{
@@ -33,7 +33,7 @@ pub fn cameras(shift: f64) -> Vec<Camera> {
     ]
 }
 
-fn drawn(renderer: &mut Renderer, scene: Scene<'_>, cameras: &[Camera]) -> Vec<Image> {
+fn drawn(renderer: &mut Renderer, scene: FrameSplats<'_>, cameras: &[Camera]) -> Vec<Image> {
     renderer.render(scene, cameras).unwrap();
     renderer.read_images().unwrap()
 }
@@ -78,15 +78,15 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     let shadow_cameras = [0b0011, 0b1100, 0b1100];
     let all: Vec<Camera> = cameras(0.0).into_iter().chain(cameras(1.0)).collect();
 
-    let together = Scene {
+    let together = FrameSplats {
         shadows: &shadows,
         shadow_cameras: Some(&shadow_cameras),
-        ..Scene::with_agents(&world, &pool, &agents)
+        ..FrameSplats::with_agents(&world, &pool, &agents)
     };
     let together_drawn = drawn(&mut renderer, together, &all);
     let (first, second) = (
-        Scene::with_agents(&world, &pool, &agents[..2]),
-        Scene::with_agents(&world, &pool, &agents[2..]),
+        FrameSplats::with_agents(&world, &pool, &agents[..2]),
+        FrameSplats::with_agents(&world, &pool, &agents[2..]),
     );
     let everywhere = |agents: &[Agent]| -> Vec<Agent> {
         agents
@@ -100,7 +100,7 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     let (cars, other_cars) = (everywhere(&agents[..2]), everywhere(&agents[2..]));
     let alone = drawn(
         &mut renderer,
-        Scene {
+        FrameSplats {
             shadows: &shadows[..1],
             agents: Some((&pool, &cars)),
             ..first
@@ -109,7 +109,7 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     );
     let other = drawn(
         &mut renderer,
-        Scene {
+        FrameSplats {
             shadows: &shadows[1..],
             agents: Some((&pool, &other_cars)),
             ..second
@@ -129,9 +129,9 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
     let everything = everywhere(&agents);
     let mixed = drawn(
         &mut renderer,
-        Scene {
+        FrameSplats {
             shadows: &shadows,
-            ..Scene::with_agents(&world, &pool, &everything)
+            ..FrameSplats::with_agents(&world, &pool, &everything)
         },
         &all,
     );
@@ -139,7 +139,7 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
         (0..4).all(|camera| mixed[camera] != together_drawn[camera]),
         "every camera would see another world's cars or shadows"
     );
-    let unmasked_shadows = Scene {
+    let unmasked_shadows = FrameSplats {
         shadow_cameras: None,
         ..together
     };

@@ -17,7 +17,7 @@ use decouplegs::asset::{
 };
 use decouplegs::episode::chosen_lidars;
 use decouplegs::render::rendered_image::ImageFileFormat;
-use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, Scene};
+use decouplegs::render::{FrameSplats, LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarSweep, Motion, Rig, RigLidar, Rules};
 use decouplegs::session::LiveScene;
@@ -236,21 +236,21 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_validation(&gpu)
 }
 
-/// Compares the scan in `file` with the same beams through `scene`.
+/// Compares the scan in `file` with the same beams through `splats`.
 fn compare<'a>(
     file: &ScanFile,
     arguments: &Arguments,
     loaded: &LoadedScene,
-    scene: impl Into<Scene<'a>>,
+    splats: impl Into<FrameSplats<'a>>,
     lidars: &mut LidarRenderer,
 ) -> Result<()> {
     let (scan, pose) = file.read(loaded)?;
-    let scene = scene.into();
-    let mut comparison = ScanComparison::new(lidars, scene, &scan, pose)?;
+    let splats = splats.into();
+    let mut comparison = ScanComparison::new(lidars, splats, &scan, pose)?;
     if arguments.sensor.is_some() || loaded.rig.lidars().next().is_some() {
         let sensor = mounted(arguments, &loaded.rig)?;
         let given = (sensor.model.as_ref(), &scan);
-        comparison = comparison.with_empty_beams(lidars, scene, given, pose)?;
+        comparison = comparison.with_empty_beams(lidars, splats, given, pose)?;
     }
     let path = |ending: &str| {
         arguments

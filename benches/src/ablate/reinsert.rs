@@ -4,7 +4,9 @@ use anyhow::{Result, ensure};
 use decouplegs::asset::LoadedAgent;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
-use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
+use decouplegs::render::{
+    Agent, AssetPool, FrameSplats, Image, Outputs, Plane, RenderOptions, Renderer,
+};
 use decouplegs::scene::light::{Lighting, LitAgent, ShadowOptions, bake_shadows};
 use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, SplatScene};
 use decouplegs::synth::street::Weather;
@@ -344,7 +346,7 @@ impl Reinsertion<'_> {
             });
         }
         renderer.render(
-            Scene::with_agents(&live.background, &pool, &agents),
+            FrameSplats::with_agents(&live.background, &pool, &agents),
             &sample.cameras,
         )?;
         Ok(renderer.read_images()?)

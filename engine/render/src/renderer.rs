@@ -7,7 +7,7 @@ use decouplegs_gpu::{Gpu, QueueRole, Recorder, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, DetailLevels, SplatScene};
 
 use crate::agents::relit::Relights;
-use crate::agents::{AgentList, Scene};
+use crate::agents::{AgentList, FrameSplats};
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
@@ -122,7 +122,7 @@ impl Renderer {
         }
     }
 
-    /// Draws `scene` for all `cameras` in one submission and waits for the images.
+    /// Draws `splats` for all `cameras` in one submission and waits for the images.
     ///
     /// They stay on the device until the next call; [`Renderer::read_images`] fetches them. Frames
     /// submitted before are finished first, and what they took is dropped.
@@ -132,17 +132,17 @@ impl Renderer {
     /// or was lost.
     pub fn render<'a>(
         &mut self,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         cameras: &[Camera],
     ) -> Result<FrameStatistics, RenderError> {
         while !self.in_flight.is_empty() {
             self.finish()?;
         }
-        self.submit(scene, cameras)?;
+        self.submit(splats, cameras)?;
         self.finish()
     }
 
-    /// Submits the frame that shows `scene` to all `cameras`, and returns without waiting for it.
+    /// Submits the frame that shows `splats` to all `cameras`, and returns without waiting for it.
     /// Frames are finished in the order submitted, by [`Renderer::finish`].
     ///
     /// # Errors
@@ -150,11 +150,11 @@ impl Renderer {
     /// frames are in flight already.
     pub fn submit<'a>(
         &mut self,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         cameras: &[Camera],
     ) -> Result<(), RenderError> {
-        let (scene, since) = (scene.into(), Instant::now());
-        let mut contents = self.prepare(&scene, cameras)?;
+        let (splats, since) = (splats.into(), Instant::now());
+        let mut contents = self.prepare(&splats, cameras)?;
         let mut keys = match &self.keys {
             Some(keys) => keys.clone(),
             None => PersistentKeys::new(&self.gpu)?,
@@ -162,7 +162,7 @@ impl Renderer {
         let decision = if self.options.keep_keys {
             keys.decide(
                 &self.gpu,
-                scene.background,
+                splats.background,
                 &contents.view,
                 &self.options.rules,
             )?
@@ -172,9 +172,9 @@ impl Renderer {
         let index = self.free_slot(contents.view.pixels)?;
         let slot = &mut self.slots[index];
         let images = (&self.options.outputs, &self.image_pool);
-        slot.load(&self.gpu, images, &scene, &mut contents)?;
+        slot.load(&self.gpu, images, &splats, &mut contents)?;
         slot.staged_key_sets.write_host(0, &decision.sets);
-        let added = scene.agents.and_then(|(pool, _)| pool.last_upload());
+        let added = splats.agents.and_then(|(pool, _)| pool.last_upload());
         let update = self.submit_agents(index, &contents, added)?;
         let record_start = Instant::now();
         let (frame, capacity, lists) =
@@ -206,38 +206,38 @@ impl Renderer {
         Ok(())
     }
 
-    /// Contents of the frame that draws `scene` for `cameras`, without colors of relit agents.
+    /// Contents of the frame that draws `splats` for `cameras`, without colors of relit agents.
     fn prepare(
         &mut self,
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         cameras: &[Camera],
     ) -> Result<FrameContents, RenderError> {
         let options = self.options;
-        scene.check_motions(cameras, self.flow_interval_s())?;
+        splats.check_motions(cameras, self.flow_interval_s())?;
         let view = View::new(
             cameras,
-            scene.background.origin,
-            self.distance_max_m(scene, cameras)?,
+            splats.background.origin,
+            self.distance_max_m(splats, cameras)?,
         )
         .map_err(RenderError::View)?;
         let near_m = near_m(&options.rules);
-        let agents = AgentList::new(scene, cameras, &view, near_m, options.level_pitch_px)?;
+        let agents = AgentList::new(splats, cameras, &view, near_m, options.level_pitch_px)?;
         let (mut processed, mut photometry) = (Vec::new(), Vec::new());
-        if scene.background.is_post_processed(cameras) {
-            let sky = scene.background.sky_map.as_ref();
+        if splats.background.is_post_processed(cameras) {
+            let sky = splats.background.sky_map.as_ref();
             processed = self.ray_tables.seen_by(&self.gpu, sky, cameras)?;
             let calibrations = cameras
                 .iter()
-                .map(|camera| scene.background.photometry_of(camera));
+                .map(|camera| splats.background.photometry_of(camera));
             photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
         }
         let mut contents = FrameContents {
-            background: scene.background.clone(),
-            variant: self.variant(scene, &view, agents.as_ref(), !processed.is_empty()),
+            background: splats.background.clone(),
+            variant: self.variant(splats, &view, agents.as_ref(), !processed.is_empty()),
             view,
             agents,
             relights: Relights::default(),
-            shadow_count: scene.shadows.len(),
+            shadow_count: splats.shadows.len(),
             processed,
             photometry,
             standing: None,
@@ -248,10 +248,10 @@ impl Renderer {
         Ok(contents)
     }
 
-    /// Specialization of the frame that shows `scene` to the cameras of `view`.
+    /// Specialization of the frame that shows `splats` to the cameras of `view`.
     fn variant(
         &self,
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         view: &View,
         list: Option<&AgentList>,
         post_processed: bool,
@@ -260,35 +260,35 @@ impl Renderer {
         let labels = RecordContents::for_outputs(&options.outputs).labels;
         FrameVariant {
             background: ProjectVariant {
-                sh_degree: scene.background.sh_degree.min(options.sh_degree_max),
+                sh_degree: splats.background.sh_degree.min(options.sh_degree_max),
                 labels,
-                instances: scene.background.has_instances
+                instances: splats.background.has_instances
                     && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
-                shadows: !scene.shadows.is_empty(),
-                shadows_by_camera: scene.shadow_cameras.is_some(),
+                shadows: !splats.shadows.is_empty(),
+                shadows_by_camera: splats.shadow_cameras.is_some(),
                 cameras: CameraVariant::for_cameras(&view.cameras, &view.lenses),
                 planes: options.outputs.planes,
-                fog: scene.background.fog.is_some(),
-                storage: scene.background.storage,
+                fog: splats.background.fog.is_some(),
+                storage: splats.background.storage,
             },
             post_processed,
             // That of all assets, in view or not: building kernels in the middle of a drive
             // would stall it.
-            agents: scene
+            agents: splats
                 .agents
                 .and_then(|(pool, _)| pool.sh_degree())
                 .map(|degree| AgentVariant {
                     sh_degree: degree.min(options.sh_degree_max),
                     labels,
-                    relit: scene.relights(),
-                    shaded: scene.shades(),
+                    relit: splats.relights(),
+                    shaded: splats.shades(),
                     cameras: CameraVariant::for_cameras(
                         list.map_or(&[], |list| &list.cameras),
                         &view.lenses,
                     ),
                     planes: options.outputs.planes,
-                    fog: scene.background.fog.is_some(),
+                    fog: splats.background.fog.is_some(),
                 }),
         }
     }
@@ -415,13 +415,17 @@ impl Renderer {
         }
     }
 
-    /// No depth of the scene is larger, meters.
-    fn distance_max_m(&self, scene: &Scene<'_>, cameras: &[Camera]) -> Result<f64, RenderError> {
-        let distance_max_m = scene.distance_max_m()?;
+    /// No depth is larger, meters.
+    fn distance_max_m(
+        &self,
+        splats: &FrameSplats<'_>,
+        cameras: &[Camera],
+    ) -> Result<f64, RenderError> {
+        let distance_max_m = splats.distance_max_m()?;
         // Distances count from the camera, depths from the origin.
         Ok(if self.options.rules.order == DepthOrder::Radial {
             let from_origin = |camera: &Camera| {
-                (camera.world_from_camera.translation - scene.background.origin).length()
+                (camera.world_from_camera.translation - splats.background.origin).length()
             };
             cameras.iter().map(from_origin).fold(0.0, f64::max) + distance_max_m
         } else {

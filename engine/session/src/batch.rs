@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use decouplegs_render::layout::CAMERAS_MAX;
-use decouplegs_render::{Agent, Scene};
+use decouplegs_render::{Agent, FrameSplats};
 use decouplegs_scene::{Camera, GroundShadow};
 use glam::DVec3;
 
@@ -180,11 +180,11 @@ fn runs(parts: &[Part], first: &mut usize) -> Vec<Run> {
 
 impl AgentBatch {
     /// The background of `live` with these agents.
-    pub fn over<'a>(&'a self, live: &'a LiveScene) -> Scene<'a> {
-        Scene {
+    pub fn over<'a>(&'a self, live: &'a LiveScene) -> FrameSplats<'a> {
+        FrameSplats {
             shadows: &self.shadows,
             shadow_cameras: self.shadow_cameras.as_deref(),
-            ..Scene::with_agents(&live.background, &live.pool, &self.agents)
+            ..FrameSplats::with_agents(&live.background, &live.pool, &self.agents)
         }
     }
 }

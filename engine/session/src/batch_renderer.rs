@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
 use decouplegs_render::{
-    Agent, ColorFormat, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer, LidarView,
-    RenderOptions, Renderer, Scene, TakenImages, TracedSweep,
+    Agent, ColorFormat, FrameSplats, FrameStatistics, Image, ImageBytes, LidarOptions,
+    LidarRenderer, LidarView, RenderOptions, Renderer, TakenImages, TracedSweep,
 };
 use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
@@ -336,7 +336,7 @@ impl BatchRenderer {
         };
         let agents: Vec<Vec<Agent>> = sweeps.iter().map(agents_of).collect();
         let views = sweeps.iter().zip(&agents).map(|(sweep, agents)| LidarView {
-            scene: Scene::with_agents(&live.background, &live.pool, agents),
+            splats: FrameSplats::with_agents(&live.background, &live.pool, agents),
             lidar: &sweep.lidar,
             mode: sweep.mode,
         });

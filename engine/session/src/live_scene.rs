@@ -3,7 +3,9 @@
 use std::collections::HashSet;
 
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
-use decouplegs_render::{Agent, AssetId, AssetPool, RenderError, Renderer, ResidentSplats, Scene};
+use decouplegs_render::{
+    Agent, AssetId, AssetPool, FrameSplats, RenderError, Renderer, ResidentSplats,
+};
 use decouplegs_scene::light::Lighting;
 use decouplegs_scene::{CodedCloud, GroundShadow, Motion, Pose, ShFrame};
 use glam::DVec3;
@@ -274,10 +276,10 @@ impl LiveScene {
 
     /// The background with what moves, as [`Renderer::render`] takes it.
     #[must_use]
-    pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> Scene<'a> {
-        Scene {
+    pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> FrameSplats<'a> {
+        FrameSplats {
             shadows: &moment.shadows,
-            ..Scene::with_agents(&self.background, &self.pool, &moment.agents)
+            ..FrameSplats::with_agents(&self.background, &self.pool, &moment.agents)
         }
     }
 }

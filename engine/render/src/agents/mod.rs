@@ -71,9 +71,9 @@ impl Agent {
     }
 }
 
-/// Scene of a frame: a background, and agents that may change with every frame.
+/// Splats of a frame: a background, and agents that may change with every frame.
 #[derive(Clone, Copy)]
-pub struct Scene<'a> {
+pub struct FrameSplats<'a> {
     /// The background.
     pub background: &'a ResidentSplats,
     /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
@@ -85,7 +85,7 @@ pub struct Scene<'a> {
     pub shadow_cameras: Option<&'a [u32]>,
 }
 
-impl<'a> From<&'a ResidentSplats> for Scene<'a> {
+impl<'a> From<&'a ResidentSplats> for FrameSplats<'a> {
     fn from(background: &'a ResidentSplats) -> Self {
         Self {
             background,
@@ -96,7 +96,7 @@ impl<'a> From<&'a ResidentSplats> for Scene<'a> {
     }
 }
 
-impl<'a> Scene<'a> {
+impl<'a> FrameSplats<'a> {
     /// A background with agents, without shadows.
     #[must_use]
     pub fn with_agents(
@@ -125,7 +125,7 @@ impl<'a> Scene<'a> {
     }
 }
 
-impl Scene<'_> {
+impl FrameSplats<'_> {
     /// Checks that the motions of `cameras` and agents can be projected during exposures, and up to
     /// `interval_s` before and after the moment.
     pub(crate) fn check_motions(
@@ -225,25 +225,25 @@ pub(crate) struct AgentList {
 }
 
 impl AgentList {
-    /// The agents of `scene` for `cameras`, which `view` is made of; levels of detail are as coarse
-    /// as `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
+    /// The agents of `splats` for `cameras`, which `view` is made of; levels of detail are as
+    /// coarse as `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
     ///
     /// `None` where no camera can see an agent.
     pub fn new(
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         cameras: &[Camera],
         view: &View,
         near_m: f32,
         level_pitch_px: Option<f64>,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = scene.agents else {
+        let Some((pool, agents)) = splats.agents else {
             return Ok(None);
         };
         let mut list = Self::empty(pool, cameras.len());
         for agent in agents {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
-            let origin = scene.background.origin;
+            let origin = splats.background.origin;
             let may_see = |index: usize| agent.cameras >> index & 1 == 1;
             // Records of cameras that may not see it are never read.
             let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
@@ -281,16 +281,16 @@ impl AgentList {
         Ok((list.counts.clusters > 0).then(|| list.padded()))
     }
 
-    /// The agents of `scene` at the finest level of detail, seen by all sectors of a sweep. Their
+    /// The agents of `splats` at the finest level of detail, seen by all sectors of a sweep. Their
     /// poses are those at the start of the sweep; sectors have them at `times_s`. `None` where
     /// there are none.
     pub fn of_sweep(
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         sectors: &[Camera],
         times_s: &[f64],
         view: &View,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = scene.agents else {
+        let Some((pool, agents)) = splats.agents else {
             return Ok(None);
         };
         let mut list = Self::empty(pool, sectors.len());
@@ -300,7 +300,7 @@ impl AgentList {
                 let pose = agent.world_from_agent.moved(&agent.motion, times_s[index]);
                 let (record, sector) = (&view.cameras[index], &sectors[index]);
                 record
-                    .moved_into(sector, scene.background.origin, &pose)
+                    .moved_into(sector, splats.background.origin, &pose)
                     .moving(sector, &agent.motion)
             };
             let seen_by = (0..sectors.len()).map(seen_by).collect();

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{ATTEMPTS_MAX, ENTRIES_MAX_IN_SOFTWARE, Grid, LidarRenderer, TracedSweep, Written};
 use crate::RenderError;
-use crate::agents::{AgentList, Scene};
+use crate::agents::{AgentList, FrameSplats};
 use crate::capacity::Capacity;
 use crate::layout::View;
 use crate::stages::{
@@ -49,7 +49,7 @@ fn read<T: Pod + Send + Sync>(values: &Buffer<T>, kept: &mut Vec<T>) {
 
 /// A sweep that is being traced.
 pub(super) struct SweepInput<'a> {
-    pub scene: Scene<'a>,
+    pub splats: FrameSplats<'a>,
     pub lidar: &'a Lidar,
     pub grid: Arc<Grid>,
     pub view: View,
@@ -74,7 +74,7 @@ impl LidarRenderer {
         input: SweepInput<'a>,
         capacity: Capacity,
     ) -> Result<SweepInFlight<'a>, RenderError> {
-        let clusters = input.scene.background.finest_clusters;
+        let clusters = input.splats.background.finest_clusters;
         let (beams, echoes) = (input.grid.beams.len(), input.variant.echoes);
         let room = LidarRoom::new(capacity, clusters, &input.view, beams, echoes);
         let buffers = self.buffers_of(&room)?;
@@ -196,7 +196,7 @@ impl LidarRenderer {
             unreachable!("build was called")
         };
         let written = &input.written;
-        let (background, sectors) = (input.scene.background, &written.sectors);
+        let (background, sectors) = (input.splats.background, &written.sectors);
         let lists = sectors.count * background.finest_clusters;
         let agents = input.agents.as_ref().map(|list| LidarAgents {
             pool: &list.pool,
@@ -278,7 +278,7 @@ impl LidarRenderer {
 
     /// Uploads of assets that the sweep has to wait for.
     fn added<'a>(&self, input: &'a SweepInput<'_>) -> Vec<&'a Ticket> {
-        let agents = input.scene.agents.iter();
+        let agents = input.splats.agents.iter();
         agents.filter_map(|(pool, _)| pool.last_upload()).collect()
     }
 }
