@@ -3,7 +3,7 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    Agent, AssetPool, FrameSplats, Image, RenderOptions, Renderer, reference,
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, RenderOptions, Renderer, reference,
 };
 use decouplegs::scene::{
     AgentPlacement, Bounds, Camera, CodedCloud, Fog, Intrinsics, Motion, Pose, Rules, ShFrame,
@@ -204,7 +204,7 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
             .collect();
         let statistics = renderer
             .render(
-                FrameSplats::with_agents(&resident, &pool, &agents),
+                FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
                 &cameras,
             )
             .unwrap();
@@ -256,7 +256,10 @@ fn draw_agents(
     );
     let resident = renderer.upload(world).unwrap();
     renderer
-        .render(FrameSplats::with_agents(&resident, pool, agents), cameras)
+        .render(
+            FrameSplats::with_agents(&resident, pool, &FrameAgents::new(agents)),
+            cameras,
+        )
         .unwrap();
     renderer.read_images().unwrap()
 }
@@ -293,7 +296,10 @@ fn agents_come_go_change_and_move_between_frames() {
     let resident = renderer.upload(&world).unwrap();
     for (index, agents) in frames.iter().enumerate() {
         renderer
-            .render(FrameSplats::with_agents(&resident, &pool, agents), &cameras)
+            .render(
+                FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+                &cameras,
+            )
             .unwrap();
         let images = renderer.read_images().unwrap();
         assert!(
@@ -329,7 +335,7 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
     let resident = renderer.upload(&world).unwrap();
     renderer
         .submit(
-            FrameSplats::with_agents(&resident, &pool, &agents),
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
             &cameras,
         )
         .unwrap();
@@ -344,7 +350,7 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
         .collect();
     renderer
         .submit(
-            FrameSplats::with_agents(&resident, &pool, &others),
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&others[..])),
             &cameras,
         )
         .unwrap();
@@ -357,7 +363,7 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
     assert!(renderer.read_images().unwrap() == draw_agents(&gpu, &world, &pool, &others, &cameras));
     let stale = renderer
         .submit(
-            FrameSplats::with_agents(&resident, &pool, &agents),
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
             &cameras,
         )
         .unwrap_err();
@@ -371,7 +377,7 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
     }];
     let error = renderer
         .submit(
-            FrameSplats::with_agents(&resident, &pool, &nowhere),
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&nowhere[..])),
             &cameras,
         )
         .unwrap_err();
@@ -439,7 +445,10 @@ fn a_far_agent_is_drawn_at_a_coarser_level() {
         let resident = renderer.upload(&world).unwrap();
         let agents = [Agent::new(asset, Pose::from_yaw(0.0, DVec3::X * x), 1)];
         renderer
-            .render(FrameSplats::with_agents(&resident, &pool, &agents), &camera)
+            .render(
+                FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+                &camera,
+            )
             .unwrap()
             .agent_splats
     };

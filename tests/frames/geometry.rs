@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use decouplegs::render::reference::geometry::{Geometry64, render_geometry};
 use decouplegs::render::{
-    Agent, AssetPool, FrameSplats, Image, Outputs, Plane, Planes, RenderOptions, Renderer,
-    reference,
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, Outputs, Plane, Planes, RenderOptions,
+    Renderer, reference,
 };
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, SplatScene,
@@ -76,7 +76,8 @@ impl Moving {
                 ..Agent::new(asset, pose, instance)
             })
             .collect();
-        let scene = FrameSplats::with_agents(&resident, &pool, &agents);
+        let frame_agents = FrameAgents::new(&agents[..]);
+        let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
         renderer
             .render(scene, std::slice::from_ref(camera))
             .unwrap();

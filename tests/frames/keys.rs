@@ -4,7 +4,9 @@
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use decouplegs::render::{Agent, AssetPool, FrameSplats, KeySource, RenderOptions, Renderer};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, KeySource, RenderOptions, Renderer,
+};
 use decouplegs::scene::{Camera, Pose};
 use glam::{DQuat, DVec3};
 
@@ -80,7 +82,7 @@ fn a_drive_gives_the_same_bytes_with_and_without_kept_keys() {
         let images = renderers.each_mut().map(|renderer| {
             let statistics = renderer
                 .render(
-                    FrameSplats::with_agents(&resident, &pool, &agents),
+                    FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
                     &rig(frame),
                 )
                 .unwrap();

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, FrameSplats, RenderOptions, Renderer, reference};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, RenderOptions, Renderer, reference,
+};
 use decouplegs::scene::lens::{Fisheye, OpenCv, Windshield, WindshieldDirection};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Lens, Pose, Rules, ShFrame, SplatScene,
@@ -192,7 +194,7 @@ fn agents_through_lenses_are_the_decoded_splats_placed_in_the_world() {
         .collect();
     let statistics = renderer
         .render(
-            FrameSplats::with_agents(&resident, &pool, &agents),
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
             &cameras,
         )
         .unwrap();

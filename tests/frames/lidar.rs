@@ -8,8 +8,8 @@ use std::sync::Arc;
 use decouplegs::render::layout::BeamState;
 use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
 use decouplegs::render::{
-    Agent, AssetPool, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats, Storage,
-    TracedSweep,
+    Agent, AssetPool, FrameAgents, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats,
+    Storage, TracedSweep,
 };
 use decouplegs::scene::lidar::{
     Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, ReturnOptions, Spin,
@@ -464,7 +464,8 @@ fn sweeps_in_motion_are_their_definition() {
                 ..LidarOptions::default()
             };
             let mut renderer = LidarRenderer::new(&gpu, options);
-            let with_agents = FrameSplats::with_agents(&resident, &pool, &agents);
+            let frame_agents = FrameAgents::new(&agents[..]);
+            let with_agents = FrameSplats::with_agents(&resident, &pool, &frame_agents);
             let traced = renderer
                 .trace(with_agents, &lidar, ReturnMode::Dual)
                 .unwrap();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    Agent, AssetPool, FrameSplats, Image, RenderOptions, Renderer, reference,
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, RenderOptions, Renderer, reference,
 };
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, Shutter, ShutterDirection,
@@ -181,7 +181,8 @@ fn draw_cars(
             ..Agent::new(asset, pose, instance)
         })
         .collect();
-    let scene = FrameSplats::with_agents(&resident, &pool, &agents);
+    let frame_agents = FrameAgents::new(&agents[..]);
+    let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
     renderer.render(scene, cameras).unwrap();
     renderer.read_images().unwrap()
 }

@@ -7,10 +7,10 @@ use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, FrameSplats, Image, ImageBytes, Outputs, Plane, RenderError,
-    RenderOptions, Renderer,
+    Agent, AssetPool, ColorFormat, FrameAgents, FrameSplats, ImageBytes, Outputs, Plane,
+    RenderError, RenderOptions, Renderer,
 };
-use decouplegs::scene::{Camera, Pose, Presence, Rules, ShFrame, Trajectory};
+use decouplegs::scene::{Camera, GroundShadow, Pose, Presence, Rules, ShFrame, Trajectory};
 use decouplegs::session::{
     HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView,
 };
@@ -31,11 +31,6 @@ pub fn cameras(shift: f64) -> Vec<Camera> {
             (97, 64),
         ),
     ]
-}
-
-fn drawn(renderer: &mut Renderer, scene: FrameSplats<'_>, cameras: &[Camera]) -> Vec<Image> {
-    renderer.render(scene, cameras).unwrap();
-    renderer.read_images().unwrap()
 }
 
 #[test]
@@ -75,47 +70,32 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
         shadow(DVec3::new(9.5, 0.0, -0.5), 1.3, 0.7),
         shadow(DVec3::new(11.0, -2.0, 0.2), 0.0, 1.0),
     ];
-    let shadow_cameras = [0b0011, 0b1100, 0b1100];
     let all: Vec<Camera> = cameras(0.0).into_iter().chain(cameras(1.0)).collect();
+    let mut draw = |agents: &FrameAgents, cameras: &[Camera]| {
+        let splats = FrameSplats::with_agents(&world, &pool, agents);
+        renderer.render(splats, cameras).unwrap();
+        renderer.read_images().unwrap()
+    };
 
-    let together = FrameSplats {
-        shadows: &shadows,
-        shadow_cameras: Some(&shadow_cameras),
-        ..FrameSplats::with_agents(&world, &pool, &agents)
+    let together = FrameAgents {
+        agents: agents.to_vec(),
+        shadows: shadows.to_vec(),
+        shadow_cameras: vec![0b0011, 0b1100, 0b1100],
     };
-    let together_drawn = drawn(&mut renderer, together, &all);
-    let (first, second) = (
-        FrameSplats::with_agents(&world, &pool, &agents[..2]),
-        FrameSplats::with_agents(&world, &pool, &agents[2..]),
-    );
-    let everywhere = |agents: &[Agent]| -> Vec<Agent> {
-        agents
-            .iter()
-            .map(|agent| Agent {
-                cameras: u32::MAX,
-                ..*agent
-            })
-            .collect()
+    let together_drawn = draw(&together, &all);
+    let unmasked = |agent: &Agent| Agent {
+        cameras: u32::MAX,
+        ..*agent
     };
-    let (cars, other_cars) = (everywhere(&agents[..2]), everywhere(&agents[2..]));
-    let alone = drawn(
-        &mut renderer,
-        FrameSplats {
-            shadows: &shadows[..1],
-            agents: Some((&pool, &cars)),
-            ..first
-        },
-        &all[..2],
-    );
-    let other = drawn(
-        &mut renderer,
-        FrameSplats {
-            shadows: &shadows[1..],
-            agents: Some((&pool, &other_cars)),
-            ..second
-        },
-        &all[2..],
-    );
+    let everywhere = |agents: &[Agent], shadows: &[GroundShadow]| FrameAgents {
+        agents: agents.iter().map(unmasked).collect(),
+        shadows: shadows.to_vec(),
+        shadow_cameras: Vec::new(),
+    };
+    let first = everywhere(&agents[..2], &shadows[..1]);
+    let second = everywhere(&agents[2..], &shadows[1..]);
+    let alone = draw(&first, &all[..2]);
+    let other = draw(&second, &all[2..]);
     assert!(
         together_drawn[..2] == alone[..],
         "the first world's cameras see the first world"
@@ -125,26 +105,23 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
         "the second world's see the second"
     );
 
+    let mut added = FrameAgents::default();
+    added.add_for_cameras(first, 0b0011);
+    added.add_for_cameras(second, 0b1100);
+    assert_eq!(added, together);
+
     // And it can fail: without masks all worlds see all agents.
-    let everything = everywhere(&agents);
-    let mixed = drawn(
-        &mut renderer,
-        FrameSplats {
-            shadows: &shadows,
-            ..FrameSplats::with_agents(&world, &pool, &everything)
-        },
-        &all,
-    );
+    let mixed = draw(&everywhere(&agents, &shadows), &all);
     assert!(
         (0..4).all(|camera| mixed[camera] != together_drawn[camera]),
         "every camera would see another world's cars or shadows"
     );
-    let unmasked_shadows = FrameSplats {
-        shadow_cameras: None,
+    let unmasked_shadows = FrameAgents {
+        shadow_cameras: Vec::new(),
         ..together
     };
     assert!(
-        drawn(&mut renderer, unmasked_shadows, &all) != together_drawn,
+        draw(&unmasked_shadows, &all) != together_drawn,
         "shadows are masked by themselves"
     );
 }

@@ -1,16 +1,16 @@
 //! Cars put back where true ones stood, in several ways, and how far each is from the truth.
 
 use anyhow::{Result, ensure};
+use decouplegs::LiveScene;
 use decouplegs::asset::LoadedAgent;
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::render::{
-    Agent, AssetPool, FrameSplats, Image, Outputs, Plane, RenderOptions, Renderer,
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, Outputs, Plane, RenderOptions, Renderer,
 };
 use decouplegs::scene::light::{Lighting, LitAgent, ShadowOptions, bake_shadows};
 use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, SplatScene};
 use decouplegs::synth::street::Weather;
-use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::affine;
 use super::cars::Cars;
@@ -302,7 +302,7 @@ impl Reinsertion<'_> {
     }
 
     /// Shadows of `moment` where nothing is known of sun and lamps.
-    fn contact_shadows(&self, moment: &SceneSnapshot) -> Vec<GroundShadow> {
+    fn contact_shadows(&self, moment: &FrameAgents) -> Vec<GroundShadow> {
         let placed = moment.agents.iter().zip(&self.stage.loaded.agents);
         let shadow = |(agent, placed): (&Agent, &LoadedAgent)| {
             let pose = &agent.world_from_agent;
@@ -318,7 +318,7 @@ impl Reinsertion<'_> {
         &self,
         renderer: &mut Renderer,
         live: &LiveScene,
-        moment: &SceneSnapshot,
+        moment: &FrameAgents,
         truth: &Truth,
         sample: &Sample,
     ) -> Result<Vec<Image>> {
@@ -346,7 +346,7 @@ impl Reinsertion<'_> {
             });
         }
         renderer.render(
-            FrameSplats::with_agents(&live.background, &pool, &agents),
+            FrameSplats::with_agents(&live.background, &pool, &FrameAgents::new(agents)),
             &sample.cameras,
         )?;
         Ok(renderer.read_images()?)
@@ -354,7 +354,7 @@ impl Reinsertion<'_> {
 
     /// The background under the shadows of `moment`, and world-space copies of the whole cars in
     /// its light.
-    pub fn copies(&self, moment: &SceneSnapshot) -> SplatScene {
+    pub fn copies(&self, moment: &FrameAgents) -> SplatScene {
         let mut splat_scene = self.stage.loaded.splat_scene.clone();
         bake_shadows(&mut splat_scene, &moment.shadows);
         for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {
@@ -379,19 +379,16 @@ impl Reinsertion<'_> {
     /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the
     /// light.
     fn light(&self, live: &LiveScene, moments_s: &[f64]) -> (f64, f64, usize) {
-        let moments: Vec<SceneSnapshot> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
-        let agents = moments.iter().flat_map(|moment| &moment.agents);
+        let agents = moments_s.iter().flat_map(|&time_s| live.at(time_s).agents);
         let lights: Vec<_> = agents
-            .map(|agent| self.lighting.at(agent.world_from_agent.translation).0)
+            .map(|agent| self.lighting.at(agent.world_from_agent.translation))
             .collect();
+        let starkness = |(light, _): &_| ShadowOptions::default().starkness(light);
+        let directionality = |(light, _): &(AmbientDescriptor, _)| light.directionality();
         (
-            mean(
-                lights
-                    .iter()
-                    .map(|light| ShadowOptions::default().starkness(light)),
-            ),
-            mean(lights.iter().map(AmbientDescriptor::directionality)),
-            moments.iter().map(|moment| moment.unlit).sum(),
+            mean(lights.iter().map(starkness)),
+            mean(lights.iter().map(directionality)),
+            lights.iter().filter(|(_, known)| !known).count(),
         )
     }
 }

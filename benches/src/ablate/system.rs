@@ -1,11 +1,11 @@
 //! The system in full, and without one part after the other.
 
 use anyhow::{Context, Result};
+use decouplegs::LiveScene;
 use decouplegs::render::Image;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
 use decouplegs::scene::Trajectory;
 use decouplegs::synth::street::Weather;
-use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::placing::{Drift, Placing, Tracks};
 use super::reinsert::{Arm, Reinserted, Reinsertion, Sample};
@@ -177,7 +177,7 @@ impl Reinsertion<'_> {
         let live = LiveScene::new(&renderer, &self.stage.driven(ways))?;
         let mut errors = MaskedErrors::new(self.floor);
         for sample in samples {
-            let mut moment: SceneSnapshot = live.at(sample.time_s);
+            let mut moment = live.at(sample.time_s);
             if without.arm() == Arm::NoRelighting {
                 moment.shadows.clear();
                 moment

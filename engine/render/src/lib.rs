@@ -36,7 +36,7 @@ pub mod stages;
 pub mod storage;
 pub mod twins;
 
-pub use agents::{Agent, FrameSplats};
+pub use agents::{Agent, FrameAgents, FrameSplats};
 pub use asset_pool::{AssetId, AssetPool, PoolBuffers, SHAPE_WORDS, stored_shape};
 pub use capacity::Capacity;
 pub use error::RenderError;

@@ -8,6 +8,7 @@ use decouplegs_scene::{Camera, DepthOrder, DetailLevels, SplatScene};
 
 use crate::agents::relit::Relights;
 use crate::agents::{AgentList, FrameSplats};
+use crate::asset_pool::AssetPool;
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
@@ -174,7 +175,7 @@ impl Renderer {
         let images = (&self.options.outputs, &self.image_pool);
         slot.load(&self.gpu, images, &splats, &mut contents)?;
         slot.staged_key_sets.write_host(0, &decision.sets);
-        let added = splats.agents.and_then(|(pool, _)| pool.last_upload());
+        let added = splats.pool.and_then(AssetPool::last_upload);
         let update = self.submit_agents(index, &contents, added)?;
         let record_start = Instant::now();
         let (frame, capacity, lists) =
@@ -237,7 +238,7 @@ impl Renderer {
             view,
             agents,
             relights: Relights::default(),
-            shadow_count: splats.shadows.len(),
+            shadow_count: splats.agents.shadows.len(),
             processed,
             photometry,
             standing: None,
@@ -265,8 +266,8 @@ impl Renderer {
                 instances: splats.background.has_instances
                     && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
-                shadows: !splats.shadows.is_empty(),
-                shadows_by_camera: splats.shadow_cameras.is_some(),
+                shadows: !splats.agents.shadows.is_empty(),
+                shadows_by_camera: !splats.agents.shadow_cameras.is_empty(),
                 cameras: CameraVariant::for_cameras(&view.cameras, &view.lenses),
                 planes: options.outputs.planes,
                 fog: splats.background.fog.is_some(),
@@ -276,13 +277,13 @@ impl Renderer {
             // That of all assets, in view or not: building kernels in the middle of a drive
             // would stall it.
             agents: splats
-                .agents
-                .and_then(|(pool, _)| pool.sh_degree())
+                .pool
+                .and_then(AssetPool::sh_degree)
                 .map(|degree| AgentVariant {
                     sh_degree: degree.min(options.sh_degree_max),
                     labels,
-                    relit: splats.relights(),
-                    shaded: splats.shades(),
+                    relit: splats.agents.relights(),
+                    shaded: splats.agents.shades(),
                     cameras: CameraVariant::for_cameras(
                         list.map_or(&[], |list| &list.cameras),
                         &view.lenses,

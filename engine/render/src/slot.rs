@@ -157,8 +157,8 @@ impl FrameInFlight {
     }
 
     fn load_shadows(&mut self, gpu: &Gpu, splats: &FrameSplats<'_>) -> Result<(), RenderError> {
-        let (background, shadows, cameras) =
-            (splats.background, splats.shadows, splats.shadow_cameras);
+        let (background, shadows) = (splats.background, &splats.agents.shadows);
+        let cameras = &splats.agents.shadow_cameras;
         let (room, clusters) = (self.shadow_room, background.cluster_count());
         if shadows.len() > room.0 || clusters > room.1 {
             let wanted = if shadows.len() > room.0 {
@@ -172,7 +172,7 @@ impl FrameInFlight {
             self.shadow_room = (wanted, clusters);
         }
         let record = |(index, shadow): (usize, &GroundShadow)| ShadowRecord {
-            cameras: cameras.map_or(u32::MAX, |cameras| cameras[index]),
+            cameras: cameras.get(index).copied().unwrap_or(u32::MAX),
             ..ShadowRecord::new(shadow, background.origin)
         };
         let records: Vec<ShadowRecord> = shadows.iter().enumerate().map(record).collect();

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
 use decouplegs_render::{
-    Agent, ColorFormat, FrameSplats, FrameStatistics, Image, ImageBytes, LidarOptions,
-    LidarRenderer, LidarView, RenderOptions, Renderer, TakenImages, TracedSweep,
+    ColorFormat, FrameAgents, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer,
+    LidarView, RenderOptions, Renderer, TakenImages, TracedSweep,
 };
 use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
@@ -329,14 +329,14 @@ impl BatchRenderer {
             ..agent
         };
         let live = world.scene().live();
-        let agents_of = |sweep: &RigSweep| -> Vec<Agent> {
+        let agents_of = |sweep: &RigSweep| {
             let placed = world.present_agents();
             let placed: Vec<_> = placed.map(|agent| at_start(agent, sweep.world_s)).collect();
-            live.unlit(&placed).collect()
+            live.unlit(&placed)
         };
-        let agents: Vec<Vec<Agent>> = sweeps.iter().map(agents_of).collect();
+        let agents: Vec<FrameAgents> = sweeps.iter().map(agents_of).collect();
         let views = sweeps.iter().zip(&agents).map(|(sweep, agents)| LidarView {
-            splats: FrameSplats::with_agents(&live.background, &live.pool, agents),
+            splats: live.with(agents),
             lidar: &sweep.lidar,
             mode: sweep.mode,
         });
@@ -389,8 +389,8 @@ impl BatchRenderer {
                 batch.scene.ready_light(&batch.agent_positions());
             }
             let live = batch.scene.live();
-            let lit = batch.lit_agents(&live);
-            self.renderers[*renderer].submit(lit.over(&live), &batch.cameras)?;
+            let agents = batch.frame_agents(&live);
+            self.renderers[*renderer].submit(live.with(&agents), &batch.cameras)?;
             self.in_flight += 1;
         }
         Ok(())

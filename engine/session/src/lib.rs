@@ -56,7 +56,7 @@ use glam::DVec3;
 
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
 pub use decouplegs_render::{TracedSweep, hash_bytes};
-pub use live_scene::{AgentInstance, LiveScene, SceneSnapshot};
+pub use live_scene::{AgentInstance, LiveScene};
 pub use movable_scene::{measure_movable_scene, open_movable_scene};
 pub use png::save_png;
 pub use rig_renderer::{RigRenderer, RigSweep};

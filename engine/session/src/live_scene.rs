@@ -4,10 +4,10 @@ use std::collections::HashSet;
 
 use decouplegs_asset::{Layer, LoadedAgent, LoadedScene};
 use decouplegs_render::{
-    Agent, AssetId, AssetPool, FrameSplats, RenderError, Renderer, ResidentSplats,
+    Agent, AssetId, AssetPool, FrameAgents, FrameSplats, RenderError, Renderer, ResidentSplats,
 };
 use decouplegs_scene::light::Lighting;
-use decouplegs_scene::{CodedCloud, GroundShadow, Motion, Pose, ShFrame};
+use decouplegs_scene::{CodedCloud, Motion, Pose, ShFrame};
 use glam::DVec3;
 
 /// A loaded scene on the device: what a loop of frames needs of it.
@@ -87,18 +87,6 @@ impl AgentInstance {
     }
 }
 
-/// All that moves in a scene, at one instant.
-#[derive(Clone, Debug, Default)]
-pub struct SceneSnapshot {
-    /// The agents, in the light of where they stand.
-    pub agents: Vec<Agent>,
-    /// The shadows that they throw on the ground.
-    pub shadows: Vec<GroundShadow>,
-    /// Agents about whose surroundings the background tells nothing: they keep the light that their
-    /// assets were captured in.
-    pub unlit: usize,
-}
-
 impl LiveScene {
     /// Copies background and assets of `loaded` to the device of `renderer`, and sums up its light
     /// where agents drive.
@@ -112,7 +100,7 @@ impl LiveScene {
     /// [`LiveScene::new`], of what belongs to `layer`: all, the background without agents and their
     /// shadows, or the agents over nothing, in the light of the background.
     ///
-    /// Agents alone still have shadows in their [`SceneSnapshot`]: these lie on agents of plain
+    /// Agents alone still have shadows in their [`FrameAgents`]: these lie on agents of plain
     /// splats, as in the full image.
     ///
     /// # Errors
@@ -204,69 +192,54 @@ impl LiveScene {
 
     /// The agents that are present at `time_s`, where they are then, in the light of the scene.
     #[must_use]
-    pub fn at(&self, time_s: f64) -> SceneSnapshot {
+    pub fn at(&self, time_s: f64) -> FrameAgents {
         let agents = self.agents.iter();
         let present = agents.filter_map(|agent| {
             let present = agent.present.includes(time_s);
             present.then(|| AgentInstance::from_agent(agent, time_s))
         });
-        self.placed(&present.collect::<Vec<_>>())
+        self.lit(&present.collect::<Vec<_>>())
     }
 
-    /// Any agents anywhere, in the light of the scene.
+    /// Any agents anywhere, in the light of the scene, and the shadows that they throw. Agents
+    /// about whose surroundings the background tells nothing keep the light of
+    /// [`LiveScene::unlit`].
     ///
     /// # Panics
     /// Panics if an asset is not one of the scene's.
     #[must_use]
-    pub fn placed(&self, placed: &[AgentInstance]) -> SceneSnapshot {
-        let to_light = |placed: &AgentInstance| {
-            (
-                placed.pose,
-                self.assets[placed.asset].dims_m,
-                self.sh_frame_of(placed),
-            )
+    pub fn lit(&self, placed: &[AgentInstance]) -> FrameAgents {
+        let mut frame = self.unlit(placed);
+        let Some(lighting) = &self.lighting else {
+            return frame;
         };
-        let matt = || placed.iter().filter(|placed| !placed.shines);
-        let lit = self
-            .lighting
-            .as_ref()
-            .map(|lighting| lighting.of_agents(&matt().map(to_light).collect::<Vec<_>>()));
-        let mut lights = lit.iter().flatten();
-        let agent = |(placed, agent): (&AgentInstance, Agent)| match placed.shines {
-            true => agent,
-            false => lights.next().map_or(agent, |lit| Agent {
-                relight: lit.relight,
-                shading: lit.shading,
-                ..agent
-            }),
-        };
-        SceneSnapshot {
-            agents: placed.iter().zip(self.unlit(placed)).map(agent).collect(),
-            unlit: lit.iter().flatten().filter(|lit| !lit.known).count(),
-            shadows: lit
-                .into_iter()
-                .flatten()
-                .flat_map(|lit| lit.shadows)
-                .collect(),
+        let matt = placed.iter().filter(|placed| !placed.shines);
+        let matt = matt.map(|placed| {
+            let dims_m = self.assets[placed.asset].dims_m;
+            (placed.pose, dims_m, self.sh_frame_of(placed))
+        });
+        let lit = lighting.of_agents(&matt.collect::<Vec<_>>());
+        let agents = frame.agents.iter_mut().zip(placed);
+        let matt = agents.filter(|(_, placed)| !placed.shines);
+        for ((agent, _), lit) in matt.zip(lit) {
+            (agent.relight, agent.shading) = (lit.relight, lit.shading);
+            frame.shadows.extend(lit.shadows);
         }
+        frame
     }
 
     /// Any agents anywhere, in the light that their assets were captured in.
     ///
     /// # Panics
     /// Panics if an asset is not one of the scene's.
-    pub fn unlit<'a>(
-        &'a self,
-        placed: &'a [AgentInstance],
-    ) -> impl ExactSizeIterator<Item = Agent> + 'a {
-        placed.iter().map(|placed| {
-            let asset = self.assets[placed.asset].id;
-            Agent {
-                sh_frame: Some(self.sh_frame_of(placed)),
-                motion: placed.motion,
-                ..Agent::new(asset, placed.pose, placed.instance)
-            }
-        })
+    #[must_use]
+    pub fn unlit(&self, placed: &[AgentInstance]) -> FrameAgents {
+        let agent = |placed: &AgentInstance| Agent {
+            sh_frame: Some(self.sh_frame_of(placed)),
+            motion: placed.motion,
+            ..Agent::new(self.assets[placed.asset].id, placed.pose, placed.instance)
+        };
+        FrameAgents::new(placed.iter().map(agent).collect::<Vec<_>>())
     }
 
     fn sh_frame_of(&self, placed: &AgentInstance) -> ShFrame {
@@ -274,12 +247,9 @@ impl LiveScene {
         placed.sh_frame.unwrap_or(asset.sh_frame)
     }
 
-    /// The background with what moves, as [`Renderer::render`] takes it.
+    /// The background with `agents`, as [`Renderer::render`] takes it.
     #[must_use]
-    pub fn with<'a>(&'a self, moment: &'a SceneSnapshot) -> FrameSplats<'a> {
-        FrameSplats {
-            shadows: &moment.shadows,
-            ..FrameSplats::with_agents(&self.background, &self.pool, &moment.agents)
-        }
+    pub fn with<'a>(&'a self, agents: &'a FrameAgents) -> FrameSplats<'a> {
+        FrameSplats::with_agents(&self.background, &self.pool, agents)
     }
 }

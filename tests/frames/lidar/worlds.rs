@@ -6,7 +6,8 @@ use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::TracedSweep;
 use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
 use decouplegs::render::{
-    Agent, AssetPool, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats, Storage,
+    Agent, AssetPool, FrameAgents, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats,
+    Storage,
 };
 use decouplegs::scene::lidar::{LidarModel, PointFrame, ReturnMode, ReturnOptions, Spin};
 use decouplegs::scene::{Motion, Pose, Rules};
@@ -75,7 +76,8 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
         ..Agent::new(asset, at_end.moved(&motion, -sweep_s), 5)
     }];
     let mut own = LidarRenderer::new(session.gpu(), LidarOptions::default());
-    let with_agents = FrameSplats::with_agents(&resident, &pool, &agents);
+    let frame_agents = FrameAgents::new(&agents[..]);
+    let with_agents = FrameSplats::with_agents(&resident, &pool, &frame_agents);
     assert!(traced.states == own.trace(with_agents, &lidar, mode).unwrap().states);
 
     // Points on the car are in its box at their own time, and outside of it at the end.
@@ -155,7 +157,8 @@ fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (
     let (mut worst, mut met) = (0.0f64, 0);
     for (_, model) in models() {
         let lidar = lidar_at(model, DVec3::ZERO, Motion::REST);
-        let scene = FrameSplats::with_agents(&resident, &pool, &agents);
+        let frame_agents = FrameAgents::new(&agents[..]);
+        let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
         let traced = renderer.trace(scene, &lidar, ReturnMode::Median).unwrap();
         let hits = truth.hits(&lidar, &traced.beams);
         for (state, hit) in traced.states.iter().zip(&hits) {

@@ -71,61 +71,106 @@ impl Agent {
     }
 }
 
+/// Agents of a frame, and shadows on the ground of its background.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameAgents {
+    /// Agents, in the order in which equal depths are drawn.
+    pub agents: Vec<Agent>,
+    /// Shadows. They multiply, and need not be those of agents that are drawn.
+    pub shadows: Vec<GroundShadow>,
+    /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; empty: all see all.
+    pub shadow_cameras: Vec<u32>,
+}
+
+/// A frame without agents.
+static NO_AGENTS: FrameAgents = FrameAgents {
+    agents: Vec::new(),
+    shadows: Vec::new(),
+    shadow_cameras: Vec::new(),
+};
+
+impl FrameAgents {
+    /// `agents` without shadows.
+    #[must_use]
+    pub fn new(agents: impl Into<Vec<Agent>>) -> Self {
+        Self {
+            agents: agents.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Appends `others`, which only the cameras of the bits in `cameras` see, with their shadows.
+    /// All shadows that were there before must have been added in this way.
+    pub fn add_for_cameras(&mut self, others: Self, cameras: u32) {
+        let masked = |agent: Agent| Agent { cameras, ..agent };
+        self.agents.extend(others.agents.into_iter().map(masked));
+        self.shadows.extend(others.shadows);
+        self.shadow_cameras.resize(self.shadows.len(), cameras);
+    }
+
+    /// True if some agent, in view or not, is relit.
+    pub(crate) fn relights(&self) -> bool {
+        self.agents.iter().any(|agent| agent.relight.is_some())
+    }
+
+    /// True if some agent, in view or not, is shaded by normals.
+    pub(crate) fn shades(&self) -> bool {
+        self.agents.iter().any(|agent| agent.shading.is_some())
+    }
+
+    /// Checks the shadows.
+    fn check_shadows(&self) -> Result<(), RenderError> {
+        assert!(
+            self.shadow_cameras.is_empty() || self.shadow_cameras.len() == self.shadows.len(),
+            "{} shadows, and cameras for {}",
+            self.shadows.len(),
+            self.shadow_cameras.len()
+        );
+        self.shadows
+            .iter()
+            .enumerate()
+            .try_for_each(|(index, shadow)| {
+                shadow
+                    .check()
+                    .map_err(|reason| RenderError::Shadow { index, reason })
+            })
+    }
+}
+
 /// Splats of a frame: a background, and agents that may change with every frame.
 #[derive(Clone, Copy)]
 pub struct FrameSplats<'a> {
-    /// The background.
-    pub background: &'a ResidentSplats,
-    /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
-    pub agents: Option<(&'a AssetPool, &'a [Agent])>,
-    /// Shadows on the ground of the background. They multiply, and need not be those of agents that
-    /// are drawn.
-    pub shadows: &'a [GroundShadow],
-    /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; `None`: all see all.
-    pub shadow_cameras: Option<&'a [u32]>,
+    pub(crate) background: &'a ResidentSplats,
+    /// Assets that agents show; `None`: there are no agents.
+    pub(crate) pool: Option<&'a AssetPool>,
+    pub(crate) agents: &'a FrameAgents,
 }
 
 impl<'a> From<&'a ResidentSplats> for FrameSplats<'a> {
     fn from(background: &'a ResidentSplats) -> Self {
         Self {
             background,
-            agents: None,
-            shadows: &[],
-            shadow_cameras: None,
+            pool: None,
+            agents: &NO_AGENTS,
         }
     }
 }
 
 impl<'a> FrameSplats<'a> {
-    /// A background with agents, without shadows.
+    /// A background with agents, whose assets are in `pool`.
     #[must_use]
     pub fn with_agents(
         background: &'a ResidentSplats,
         pool: &'a AssetPool,
-        agents: &'a [Agent],
+        agents: &'a FrameAgents,
     ) -> Self {
         Self {
             background,
-            agents: Some((pool, agents)),
-            shadows: &[],
-            shadow_cameras: None,
+            pool: Some(pool),
+            agents,
         }
     }
 
-    /// True if some agent, in view or not, is relit.
-    pub(crate) fn relights(&self) -> bool {
-        self.agents
-            .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
-    }
-
-    /// True if some agent, in view or not, is shaded by normals.
-    pub(crate) fn shades(&self) -> bool {
-        self.agents
-            .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.shading.is_some()))
-    }
-}
-
-impl FrameSplats<'_> {
     /// Checks that the motions of `cameras` and agents can be projected during exposures, and up to
     /// `interval_s` before and after the moment.
     pub(crate) fn check_motions(
@@ -140,7 +185,7 @@ impl FrameSplats<'_> {
             })?;
         }
         let longest_s = cameras.iter().map(within_s).fold(0.0, f64::max);
-        for agent in self.agents.iter().flat_map(|(_, agents)| agents.iter()) {
+        for agent in &self.agents.agents {
             check_motion(&agent.motion, longest_s).map_err(|reason| RenderError::AgentMotion {
                 instance: agent.instance,
                 reason,
@@ -151,25 +196,12 @@ impl FrameSplats<'_> {
 
     /// No mean that is drawn is farther from the world's origin, meters.
     pub(crate) fn distance_max_m(&self) -> Result<f64, RenderError> {
+        self.agents.check_shadows()?;
         let mut distance_max_m = self.background.distance_max_m;
-        if let Some(cameras) = self.shadow_cameras {
-            assert!(
-                cameras.len() == self.shadows.len(),
-                "{} shadows, and cameras for {}",
-                self.shadows.len(),
-                cameras.len()
-            );
-        }
-        for (index, shadow) in self.shadows.iter().enumerate() {
-            shadow
-                .check()
-                .map_err(|reason| RenderError::Shadow { index, reason })?;
-        }
-        let (pool, agents) = match self.agents {
-            Some((pool, agents)) => (pool, agents),
-            None => return Ok(distance_max_m),
+        let Some(pool) = self.pool else {
+            return Ok(distance_max_m);
         };
-        for agent in agents {
+        for agent in &self.agents.agents {
             let pose = &agent.world_from_agent;
             if !(pose.translation.is_finite()
                 && pose.rotation.is_finite()
@@ -236,11 +268,11 @@ impl AgentList {
         near_m: f32,
         level_pitch_px: Option<f64>,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = splats.agents else {
+        let Some(pool) = splats.pool else {
             return Ok(None);
         };
         let mut list = Self::empty(pool, cameras.len());
-        for agent in agents {
+        for agent in &splats.agents.agents {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
             let origin = splats.background.origin;
@@ -290,12 +322,12 @@ impl AgentList {
         times_s: &[f64],
         view: &View,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = splats.agents else {
+        let Some(pool) = splats.pool else {
             return Ok(None);
         };
         let mut list = Self::empty(pool, sectors.len());
         let all = u32::MAX >> (32 - sectors.len());
-        for agent in agents {
+        for agent in &splats.agents.agents {
             let seen_by = |index: usize| {
                 let pose = agent.world_from_agent.moved(&agent.motion, times_s[index]);
                 let (record, sector) = (&view.cameras[index], &sectors[index]);

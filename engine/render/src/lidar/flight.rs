@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::{ATTEMPTS_MAX, ENTRIES_MAX_IN_SOFTWARE, Grid, LidarRenderer, TracedSweep, Written};
 use crate::RenderError;
 use crate::agents::{AgentList, FrameSplats};
+use crate::asset_pool::AssetPool;
 use crate::capacity::Capacity;
 use crate::layout::View;
 use crate::stages::{
@@ -278,8 +279,8 @@ impl LidarRenderer {
 
     /// Uploads of assets that the sweep has to wait for.
     fn added<'a>(&self, input: &'a SweepInput<'_>) -> Vec<&'a Ticket> {
-        let agents = input.splats.agents.iter();
-        agents.filter_map(|(pool, _)| pool.last_upload()).collect()
+        let pools = input.splats.pool.into_iter();
+        pools.filter_map(AssetPool::last_upload).collect()
     }
 }
 

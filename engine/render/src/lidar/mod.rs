@@ -221,7 +221,7 @@ impl LidarRenderer {
         };
         lidar.model.check().map_err(of_lidar)?;
         lidar.motion.check().map_err(of_lidar)?;
-        for agent in splats.agents.iter().flat_map(|(_, agents)| agents.iter()) {
+        for agent in &splats.agents.agents {
             let instance = agent.instance;
             let of_agent = |reason| RenderError::AgentMotion { instance, reason };
             agent.motion.check().map_err(of_agent)?;
@@ -239,7 +239,7 @@ impl LidarRenderer {
         let view = View::new(&cut.cameras, origin, distance_max_m).map_err(RenderError::View)?;
         let agents = AgentList::of_sweep(&splats, &cut.cameras, &cut.times_s, &view)?;
         let agents_move = || {
-            let mut agents = splats.agents.iter().flat_map(|(_, agents)| agents.iter());
+            let mut agents = splats.agents.agents.iter();
             agents.any(|agent| !agent.motion.is_rest())
         };
         let variant = LidarVariant {
