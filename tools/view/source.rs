@@ -74,7 +74,7 @@ impl Source {
         title: String,
         session: &Session,
     ) -> Result<Self, SessionError> {
-        let on_device = session.add_scene(&course.scene.loaded)?;
+        let on_device = session.add_scene(&course.input.loaded)?;
         Ok(Self::new(Course::Scene(Box::new(course)), on_device, title))
     }
 
@@ -118,14 +118,14 @@ impl Source {
     pub fn span_s(&self) -> [f64; 2] {
         match &self.course {
             Course::Scene(course) => {
-                let time_s = course.scene.time_s;
+                let time_s = course.input.time_s;
                 let moving = course.trajectories().filter(|way| way.poses().len() > 1);
                 let ends = moving.map(|way| way.end_s());
                 let Some(end_s) = ends.reduce(f64::max) else {
                     return [time_s; 2];
                 };
                 // A scene that is shown from a later time on has the earlier ones too.
-                let start_s = time_s.min(course.scene.loaded.ego.start_s());
+                let start_s = time_s.min(course.input.loaded.ego.start_s());
                 let end_s = end_s.min(start_s + STEP_S * STEPS_MAX);
                 [start_s, end_s.max(time_s)]
             }
@@ -210,13 +210,13 @@ impl Source {
     pub fn set_time(&mut self, time_s: f64) {
         match &self.course {
             Course::Scene(course) => {
-                let scene = &course.scene;
+                let input = &course.input;
                 self.now.time_s = time_s;
                 // The assets are those of the scene: placing them does not fail.
                 let _ = self.now.world.set_agents(course.agents_at(time_s));
-                self.now.cameras = scene.cameras_after(time_s - scene.time_s);
-                self.now.ego = scene.loaded.ego.at(time_s);
-                self.now.motion = scene.loaded.ego.motion_at(time_s);
+                self.now.cameras = input.cameras_after(time_s - input.time_s);
+                self.now.ego = input.loaded.ego.at(time_s);
+                self.now.motion = input.loaded.ego.motion_at(time_s);
             }
             Course::Episode(played, _) => {
                 let moment = played.at(time_s);
@@ -403,7 +403,7 @@ impl Source {
     /// Scene as it was read.
     pub fn loaded(&self) -> &LoadedScene {
         match &self.course {
-            Course::Scene(course) => &course.scene.loaded,
+            Course::Scene(course) => &course.input.loaded,
             Course::Episode(played, _) => played.loaded(),
         }
     }
