@@ -49,6 +49,6 @@ pub use decouplegs_train as train;
 pub use glam;
 pub use scene::{Camera, Framing, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};
 pub use session::{
-    BatchRenderer, HostImages, RigRenderer, RigSweep, Session, SessionError, SessionOptions,
-    SessionScene, World, WorldView, save_png,
+    BatchRenderer, HostImages, RigRenderer, RigSweep, Scene, Session, SessionError, SessionOptions,
+    World, WorldView, save_png,
 };

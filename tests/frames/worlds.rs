@@ -12,7 +12,7 @@ use decouplegs::render::{
 };
 use decouplegs::scene::{Camera, GroundShadow, Pose, Presence, Rules, ShFrame, Trajectory};
 use decouplegs::session::{
-    HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView,
+    HostImages, Scene, Session, SessionError, SessionOptions, World, WorldView,
 };
 use glam::DVec3;
 
@@ -163,7 +163,7 @@ pub fn assert_silent(session: &Session) {
 }
 
 /// World `index` over `scene`: its cars stand somewhere else in each.
-pub fn world(scene: &Arc<SessionScene>, index: usize) -> World {
+pub fn world(scene: &Arc<Scene>, index: usize) -> World {
     let mut world = World::new(scene);
     let x = 6.0 + 0.25 * index as f64;
     world

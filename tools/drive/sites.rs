@@ -8,7 +8,7 @@ use decouplegs::episode::{Appearance, Site};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
-use decouplegs::session::{Session, SessionError, SessionOptions, SessionScene};
+use decouplegs::session::{Scene, Session, SessionError, SessionOptions};
 
 use crate::arguments::warn;
 use crate::background::BackgroundArguments;
@@ -20,7 +20,7 @@ const KEPT_MAX: usize = 6;
 pub struct Ready {
     pub site: Arc<Site>,
     /// Scenes by device; none where nothing is drawn yet.
-    scenes: Vec<Mutex<Option<Arc<SessionScene>>>>,
+    scenes: Vec<Mutex<Option<Arc<Scene>>>>,
 }
 
 /// A place that is there, or is being made by one thread while others wait for it.
@@ -58,7 +58,7 @@ impl Sites {
     }
 
     /// The scene of `ready` on the device at `position`, copied to it unless it is there already.
-    pub fn scene(&self, ready: &Ready, position: usize) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn scene(&self, ready: &Ready, position: usize) -> Result<Arc<Scene>, SessionError> {
         let mut scene = ready.scenes[position]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);

@@ -10,7 +10,7 @@ use decouplegs::asset::{
 };
 use decouplegs::explain::explain;
 use decouplegs::scene::{Pose, Trajectory};
-use decouplegs::session::{AgentInstance, Session, SessionScene};
+use decouplegs::session::{AgentInstance, Scene, Session};
 use decouplegs_cli::scene_source::{DrawInput, absolute};
 use glam::DVec3;
 use serde_json::Value;
@@ -218,7 +218,7 @@ impl SceneCourse {
         edit: &Edit,
         time_s: f64,
         session: &Session,
-    ) -> Result<(Option<String>, Option<Arc<SessionScene>>), String> {
+    ) -> Result<(Option<String>, Option<Arc<Scene>>), String> {
         let editor = self.editor.as_mut().ok_or(NOT_EDITABLE)?;
         let before = editor.history();
         let said = editor.apply(edit, time_s)?;
@@ -239,7 +239,7 @@ impl SceneCourse {
         (by_m, free, done): (DVec3, bool, bool),
         time_s: f64,
         session: &Session,
-    ) -> Result<Option<Arc<SessionScene>>, String> {
+    ) -> Result<Option<Arc<Scene>>, String> {
         let editor = self.editor.as_mut().ok_or(NOT_EDITABLE)?;
         let agent = editor
             .file()
@@ -283,7 +283,7 @@ impl SceneCourse {
         &mut self,
         before: History<SceneFile>,
         session: &Session,
-    ) -> Result<Option<Arc<SessionScene>>, String> {
+    ) -> Result<Option<Arc<Scene>>, String> {
         let Some(editor) = self.editor.as_mut() else {
             return Ok(None);
         };

@@ -8,7 +8,7 @@ use decouplegs::asset::{LoadedScene, lidar_names};
 use decouplegs::episode::{LiveEpisode, chosen_lidars};
 use decouplegs::explain::explain;
 use decouplegs::scene::{Camera, Lidar, Motion, Pose};
-use decouplegs::session::{Session, SessionError, SessionScene, World};
+use decouplegs::session::{Scene, Session, SessionError, World};
 use decouplegs_cli::free_view::FreeView;
 use glam::DVec3;
 
@@ -43,7 +43,7 @@ type Dragged = Option<(String, Pose)>;
 /// A scene on the device, at a time.
 pub struct Source {
     course: Course,
-    on_device: Arc<SessionScene>,
+    on_device: Arc<Scene>,
     splats: KeptSplats,
     /// The scene without agents.
     background: World,
@@ -79,7 +79,7 @@ impl Source {
     }
 
     /// Source of a log whose place is `on_device`.
-    pub fn of_log(played: Played, title: String, on_device: Arc<SessionScene>) -> Self {
+    pub fn of_log(played: Played, title: String, on_device: Arc<Scene>) -> Self {
         Self::new(Course::Episode(Box::new(played), None), on_device, title)
     }
 
@@ -94,7 +94,7 @@ impl Source {
         Ok(Self::new(course, scene, title))
     }
 
-    fn new(course: Course, on_device: Arc<SessionScene>, title: String) -> Self {
+    fn new(course: Course, on_device: Arc<Scene>, title: String) -> Self {
         let mut source = Self {
             course,
             background: World::empty(&on_device),
@@ -360,7 +360,7 @@ impl Source {
         self.set_time(0.0);
     }
 
-    fn show_anew(&mut self, on_device: Option<Arc<SessionScene>>) {
+    fn show_anew(&mut self, on_device: Option<Arc<Scene>>) {
         if let Some(on_device) = on_device {
             self.background = World::empty(&on_device);
             self.now.world = World::empty(&on_device);

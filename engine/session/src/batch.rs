@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::batch_renderer::WorldView;
 use super::world::SharedAgents;
-use super::{SessionError, SessionScene, World};
+use super::{Scene, SessionError, World};
 use crate::{AgentInstance, LiveScene};
 
 /// Some cameras of one view, with the agents that they see.
@@ -35,7 +35,7 @@ impl Part {
 /// Contents of one frame: cameras over one background. It owns all it needs, so that a frame can
 /// wait for its turn after the caller's worlds have moved on.
 pub(super) struct Batch {
-    pub scene: Arc<SessionScene>,
+    pub scene: Arc<Scene>,
     /// Cameras, in the order of the frame's images.
     pub cameras: Vec<Camera>,
     parts: Vec<Part>,

@@ -11,7 +11,7 @@ use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
 
 use super::batch::{Batch, batches};
-use super::{RigSweep, SessionError, SessionOptions, SessionScene, World};
+use super::{RigSweep, Scene, SessionError, SessionOptions, World};
 use crate::AgentInstance;
 
 /// A world, and the cameras that look at it.
@@ -119,7 +119,7 @@ impl BatchRenderer {
     }
 
     /// Index of the renderer for `scene`, made at the first use of its rules.
-    fn renderer_of(&mut self, scene: &SessionScene) -> usize {
+    fn renderer_of(&mut self, scene: &Scene) -> usize {
         let rules = self.rules.unwrap_or(scene.rules());
         self.renderers
             .iter()

@@ -160,7 +160,7 @@ pub struct SessionOptions {
     /// The rules that all scenes are drawn by. None: each by its own, as its scene file says.
     pub rules: Option<Rules>,
     /// True if light is baked, and kept, wherever agents come: fast for agents that are sent
-    /// anywhere. False: light is interpolated where the scene or [`SessionScene::bake_light`] baked
+    /// anywhere. False: light is interpolated where the scene or [`Scene::bake_light`] baked
     /// it, and summed up exactly elsewhere, so that no image depends on what was drawn before.
     pub bakes_light_on_demand: bool,
 }
@@ -194,11 +194,11 @@ pub struct Session {
     gpu: Gpu,
     options: SessionOptions,
     /// Scenes in use, by path.
-    scenes: Mutex<BTreeMap<PathBuf, Weak<SessionScene>>>,
+    scenes: Mutex<BTreeMap<PathBuf, Weak<Scene>>>,
 }
 
 /// A scene on the device. It stays there as long as it is held.
-pub struct SessionScene {
+pub struct Scene {
     gpu: Gpu,
     rules: Rules,
     rig: Rig,
@@ -251,7 +251,7 @@ impl Session {
     ///
     /// # Errors
     /// Returns an error if a file is missing or wrong, or the device has not the memory.
-    pub fn open_scene(&self, path: &Path) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn open_scene(&self, path: &Path) -> Result<Arc<Scene>, SessionError> {
         let key = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         if let Some(scene) = self.held(&key) {
             return Ok(scene);
@@ -269,7 +269,7 @@ impl Session {
         Ok(scene)
     }
 
-    fn held(&self, key: &Path) -> Option<Arc<SessionScene>> {
+    fn held(&self, key: &Path) -> Option<Arc<Scene>> {
         self.scenes
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
@@ -281,7 +281,7 @@ impl Session {
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, or an asset cannot be drawn.
-    pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<Scene>, SessionError> {
         self.add_layer(loaded, Layer::All)
     }
 
@@ -294,7 +294,7 @@ impl Session {
         &self,
         loaded: &LoadedScene,
         layer: Layer,
-    ) -> Result<Arc<SessionScene>, SessionError> {
+    ) -> Result<Arc<Scene>, SessionError> {
         self.add(loaded, layer, DVec3::Z)
     }
 
@@ -303,7 +303,7 @@ impl Session {
         loaded: &LoadedScene,
         layer: Layer,
         usual_up: DVec3,
-    ) -> Result<Arc<SessionScene>, SessionError> {
+    ) -> Result<Arc<Scene>, SessionError> {
         let renderer = Renderer::new(&self.gpu, self.options.render);
         let live = LiveScene::layer(&renderer, loaded, layer)?;
         let agents = live.agents().to_vec();
@@ -320,7 +320,7 @@ impl Session {
         } else {
             Framing::from_splats(&splats.splats, splats.origin)
         };
-        Ok(Arc::new(SessionScene {
+        Ok(Arc::new(Scene {
             framing,
             usual_up,
             gpu: self.gpu.clone(),
@@ -341,7 +341,7 @@ impl Session {
     }
 }
 
-impl SessionScene {
+impl Scene {
     /// Bakes the light probes around `positions`, world coordinates, so that frames with agents
     /// there need not wait for them.
     pub fn bake_light(&self, positions: impl IntoIterator<Item = DVec3>) {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use decouplegs_scene::{Motion, Pose, ShFrame};
 
-use super::{SessionError, SessionScene};
+use super::{Scene, SessionError};
 use crate::AgentInstance;
 
 /// Agents have ids from 1 to this.
@@ -28,7 +28,7 @@ pub struct WorldAgent {
 /// the agents are not.
 #[derive(Clone)]
 pub struct World {
-    scene: Arc<SessionScene>,
+    scene: Arc<Scene>,
     agents: Vec<WorldAgent>,
     /// World that it is a view of, until its agents change.
     shared: Option<SharedAgents>,
@@ -46,7 +46,7 @@ pub(super) struct SharedAgents {
 impl World {
     /// The agents of the scene file, where they are at time 0.
     #[must_use]
-    pub fn new(scene: &Arc<SessionScene>) -> Self {
+    pub fn new(scene: &Arc<Scene>) -> Self {
         let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
             name: agent.name.clone(),
             placed: AgentInstance::from_agent(agent, 0.0),
@@ -61,7 +61,7 @@ impl World {
 
     /// The background alone.
     #[must_use]
-    pub fn empty(scene: &Arc<SessionScene>) -> Self {
+    pub fn empty(scene: &Arc<Scene>) -> Self {
         Self {
             agents: Vec::new(),
             scene: scene.clone(),
@@ -73,7 +73,7 @@ impl World {
     ///
     /// # Errors
     /// Returns an error if `scene` lacks an asset that an agent shows.
-    pub fn over(&self, scene: &Arc<SessionScene>) -> Result<Self, SessionError> {
+    pub fn over(&self, scene: &Arc<Scene>) -> Result<Self, SessionError> {
         let count = scene.asset_count();
         let assets = self.agents.iter().map(|agent| agent.placed.asset);
         if let Some(asset) = assets.into_iter().find(|asset| *asset >= count) {
@@ -88,7 +88,7 @@ impl World {
 
     /// The scene that it is over.
     #[must_use]
-    pub fn scene(&self) -> &Arc<SessionScene> {
+    pub fn scene(&self) -> &Arc<Scene> {
         &self.scene
     }
 
