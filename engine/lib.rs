@@ -38,7 +38,7 @@ pub use decouplegs_logs as logs;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
 pub use decouplegs_session::{
-    self as session, AgentInstance, LiveScene, measure_movable_scene, open_movable_scene,
+    self as session, AgentInstance, measure_movable_scene, open_movable_scene,
 };
 pub use decouplegs_sim::{
     episode, footing, hugsim_import, names, planner, recorded, scenario_import, track_import,

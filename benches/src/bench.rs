@@ -16,7 +16,6 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use decouplegs::LiveScene;
 use decouplegs::asset::write_atomically;
 use decouplegs::gpu::{DeviceInfo, DeviceOptions, Gpu, KernelReport, KernelTrial, MemoryReport};
 use decouplegs::render::metrics::{Difference, Flips};
@@ -26,6 +25,7 @@ use decouplegs::render::{
     ColorFormat, FrameStatistics, Outputs, Plane, PlaneMap, RenderOptions, Renderer,
 };
 use decouplegs::scene::{Intrinsics, Rules, SplatScene};
+use decouplegs::{Session, World};
 
 use crate::arguments::{Size, finite, pixels, plane_names, print};
 use crate::background::BackgroundArguments;
@@ -341,14 +341,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// The frames after the warm-up, the wall clock from one to the next, and the memory that they
 /// took; then the frames whose stages are timed.
 fn time_frames(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Timed> {
-    let mut renderer = Renderer::new(gpu, arguments.options(input.rules()));
+    let options = arguments.options(input.rules());
+    let mut renderer = Renderer::new(gpu, options);
     let copying = progress::spinner("copying the scene to the device".into());
-    let live = LiveScene::new(&renderer, &input.loaded)?;
+    let scene = Session::on(gpu, &options.into()).add_scene(&input.loaded)?;
+    let mut world = World::new(&scene);
     copying.finish_and_clear();
     let count = arguments.warm_up + arguments.frames;
     let by_stage_count = arguments.frames.min(FRAMES_BY_STAGE_MAX);
     let bar = progress::bar("frames", (count + by_stage_count) as usize);
-    let draw = |renderer: &mut Renderer, range: Range<u32>| {
+    let mut draw = |renderer: &mut Renderer, range: Range<u32>| {
         let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
         let mut last = Instant::now();
         let ahead = usize::from(arguments.in_flight) - 1;
@@ -356,13 +358,14 @@ fn time_frames(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Ti
         for place in 0..range.len() + ahead {
             if let Some(frame) = moments.next() {
                 let later_s = f64::from(frame) * arguments.step;
-                let moment = live.at(input.time_s + later_s);
+                world.set_time(input.time_s + later_s);
                 let moved = match &arguments.ego_stands {
                     Some(stands) => stands.frames_moved(frame),
                     None => frame,
                 };
                 let cameras = input.cameras_after(f64::from(moved) * arguments.step);
-                renderer.submit(live.with(&moment), &cameras)?;
+                let agents = world.frame_agents();
+                scene.lend(&agents, |splats| renderer.submit(splats, &cameras))?;
             }
             if place >= ahead {
                 frames.push(renderer.finish()?);
@@ -407,7 +410,7 @@ fn middle(image: &Intrinsics, size: Size) -> Window {
 /// reference's.
 struct Comparison<'a> {
     renderer: Renderer,
-    live: LiveScene,
+    world: World,
     input: &'a DrawInput,
     splat_scene: SplatScene,
 }
@@ -419,10 +422,12 @@ impl<'a> Comparison<'a> {
             ..arguments.options(input.rules())
         };
         let renderer = Renderer::new(gpu, options);
-        let live = LiveScene::new(&renderer, &input.loaded)?;
+        let scene = Session::on(gpu, &options.into()).add_scene(&input.loaded)?;
+        let mut world = World::new(&scene);
+        world.set_time(input.time_s);
         Ok(Self {
             renderer,
-            live,
+            world,
             input,
             splat_scene: input.splat_scene(),
         })
@@ -432,16 +437,15 @@ impl<'a> Comparison<'a> {
     fn differences(&mut self, index: usize, window: Window) -> Result<(Difference, Flips)> {
         let Self {
             renderer,
-            live,
+            world,
             input,
             splat_scene,
         } = self;
         let camera = &input.cameras[index];
         let working = progress::spinner(format!("{} by the f64 definition", camera.name));
-        renderer.render(
-            live.with(&live.at(input.time_s)),
-            std::slice::from_ref(camera),
-        )?;
+        let cameras = std::slice::from_ref(camera);
+        let agents = world.frame_agents();
+        (world.scene()).lend(&agents, |splats| renderer.render(splats, cameras))?;
         let found = cut(&renderer.read_images()?[0], window);
         let world_at = |later_s: f64| match later_s {
             0.0 => Cow::Borrowed(splat_scene),

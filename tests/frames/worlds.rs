@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
@@ -501,8 +500,10 @@ fn a_session_draws_each_scene_by_its_own_rules() {
                 ..RenderOptions::default()
             },
         );
-        let live = LiveScene::new(&renderer, loaded).unwrap();
-        renderer.render(live.with(&live.at(0.0)), &cameras).unwrap();
+        let agents = worlds[view].frame_agents();
+        scenes[view]
+            .lend(&agents, |splats| renderer.render(splats, &cameras))
+            .unwrap();
         let mut bytes = ImageBytes::default();
         renderer.read_bytes(&mut bytes).unwrap();
         for camera in 0..cameras.len() {

@@ -2,9 +2,11 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, ResidentSplats};
+use decouplegs::render::{
+    ColorFormat, FrameSplats, Outputs, RenderOptions, Renderer, ResidentSplats,
+};
 use decouplegs::scene::SplatScene;
-use decouplegs::{LiveScene, asset::LoadedScene};
+use decouplegs::{Session, World, asset::LoadedScene};
 
 use crate::stress::drive_schedule::DriveSchedule;
 use crate::stress::figures::Measured;
@@ -47,13 +49,14 @@ impl<'a> Speed<'a> {
     /// Compressed agents that drive as `driven` says, two frames in flight.
     pub fn of_coded(&self, driven: &LoadedScene) -> Result<Measured> {
         let mut renderer = self.renderer(true, 2);
-        let live = LiveScene::new(&renderer, driven)?;
+        let session = Session::on(self.gpu, &(*renderer.options()).into());
+        let scene = session.add_scene(driven)?;
+        let mut world = World::new(&scene);
         self.drive(&mut renderer, |renderer, time_s| {
-            let moment = live.at(time_s);
-            Ok(renderer.submit(
-                live.with(&moment),
-                &self.schedule.cameras(self.scene, time_s),
-            )?)
+            world.set_time(time_s);
+            let cameras = self.schedule.cameras(self.scene, time_s);
+            let submit = |splats: FrameSplats<'_>| renderer.submit(splats, &cameras);
+            Ok(scene.lend(&world.frame_agents(), submit)?)
         })
     }
 

@@ -5,15 +5,15 @@ use std::io::Write;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::LiveScene;
 use decouplegs::asset::write_atomically;
 use decouplegs::episode::chosen_lidars;
 use decouplegs::gpu::{Gpu, KernelTrial, MemoryReport};
 use decouplegs::render::layout::BeamState;
 use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
-use decouplegs::render::{LidarOptions, LidarRenderer, Renderer, TracedSweep};
+use decouplegs::render::{LidarOptions, LidarRenderer, TracedSweep};
 use decouplegs::scene::lidar::{Beam, ReturnMode};
 use decouplegs::scene::{Lidar, Motion, Pose};
+use decouplegs::{Session, World};
 use serde_json::{Value, json};
 
 use super::trial::PROGRAM;
@@ -114,25 +114,31 @@ fn time_sweeps(
     arguments: &Arguments,
     subject: &Subject,
 ) -> Result<Timed> {
-    let renderer = Renderer::new(gpu, arguments.options(input.rules()));
+    let session = Session::on(gpu, &arguments.options(input.rules()).into());
     let copying = progress::spinner("copying the scene to the device".into());
-    let live = LiveScene::new(&renderer, &input.loaded)?;
+    let scene = session.add_scene(&input.loaded)?;
     copying.finish_and_clear();
     let options = LidarOptions {
         rules: input.rules(),
         ..LidarOptions::default()
     };
     let mut lidars = LidarRenderer::new(gpu, options);
-    let moment = live.at(subject.time_s);
-    let mut trace = || lidars.trace(live.with(&moment), &subject.lidar, subject.mode);
+    let mut world = World::new(&scene);
+    world.set_time(subject.time_s);
+    let agents = world.frame_agents();
+    let trace = |lidars: &mut LidarRenderer| {
+        scene.lend(&agents, |splats| {
+            lidars.trace(splats, &subject.lidar, subject.mode)
+        })
+    };
     let by_stage = arguments.frames.min(super::FRAMES_BY_STAGE_MAX);
     let count = arguments.warm_up + arguments.frames;
     let bar = progress::bar("sweeps", (count + by_stage) as usize);
     let (mut gpu_ms, mut wall_ms) = (Vec::new(), Vec::new());
-    let mut last = trace()?;
+    let mut last = trace(&mut lidars)?;
     for index in 0..count {
         let begun = Instant::now();
-        last = trace()?;
+        last = trace(&mut lidars)?;
         if index >= arguments.warm_up {
             wall_ms.push(begun.elapsed().as_secs_f64() * 1e3);
             gpu_ms.push(last.gpu_time_ns as f64 * 1e-6);
@@ -142,7 +148,7 @@ fn time_sweeps(
     lidars.time_stages(true);
     let mut stages = Vec::new();
     for _ in 0..by_stage {
-        let traced = lidars.trace(live.with(&moment), &subject.lidar, subject.mode)?;
+        let traced = trace(&mut lidars)?;
         let times = traced.stages.iter();
         stages.push(
             times

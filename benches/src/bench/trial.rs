@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
-use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, KernelTrial};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::rendered_image::Image;
 use decouplegs::render::{Outputs, RenderOptions, Renderer};
+use decouplegs::{Session, World};
 use serde_json::{Value, json};
 
 use super::{Arguments, kernels, time_frames};
@@ -124,8 +124,13 @@ fn image(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Image> {
         ..arguments.options(input.rules())
     };
     let mut renderer = Renderer::new(gpu, options);
-    let live = LiveScene::new(&renderer, &input.loaded)?;
-    renderer.render(live.with(&live.at(input.time_s)), &input.cameras[..1])?;
+    let scene = Session::on(gpu, &options.into()).add_scene(&input.loaded)?;
+    let mut world = World::new(&scene);
+    world.set_time(input.time_s);
+    let cameras = &input.cameras[..1];
+    scene.lend(&world.frame_agents(), |splats| {
+        renderer.render(splats, cameras)
+    })?;
     Ok(renderer.read_images()?.swap_remove(0))
 }
 

@@ -11,7 +11,7 @@ use glam::DVec3;
 use super::batch_renderer::WorldView;
 use super::world::SharedAgents;
 use super::{Scene, SessionError, World};
-use crate::{AgentInstance, LiveScene};
+use crate::AgentInstance;
 
 /// Some cameras of one view, with the agents that they see.
 struct Part {
@@ -104,12 +104,12 @@ impl Batch {
     }
 
     /// Agents of all views as one list, lit, each with the mask of its cameras.
-    pub fn frame_agents(&self, live: &LiveScene) -> FrameAgents {
+    pub fn frame_agents(&self) -> FrameAgents {
         let mut all = FrameAgents::default();
         let mut first = 0;
         for parts in self.parts.chunk_by(Part::is_of_world_of) {
             for run in runs(parts, &mut first) {
-                all.add_for_cameras(live.lit(&run.agents), run.cameras);
+                all.add_for_cameras(self.scene.lit(&run.agents), run.cameras);
             }
         }
         // One world needs no masks, and kernels without them are the faster ones.

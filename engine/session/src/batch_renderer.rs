@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
 use decouplegs_render::{
-    ColorFormat, FrameAgents, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer,
-    LidarView, RenderOptions, Renderer, TakenImages, TracedSweep,
+    ColorFormat, FrameAgents, FrameSplats, FrameStatistics, Image, ImageBytes, LidarOptions,
+    LidarRenderer, LidarView, RenderOptions, Renderer, TakenImages, TracedSweep,
 };
 use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
@@ -328,20 +328,21 @@ impl BatchRenderer {
             },
             ..agent
         };
-        let live = world.scene().live();
+        let scene = world.scene();
         let agents_of = |sweep: &RigSweep| {
             let placed = world.present_agents();
             let placed: Vec<_> = placed.map(|agent| at_start(agent, sweep.world_s)).collect();
-            live.unlit(&placed)
+            scene.unlit(&placed)
         };
         let agents: Vec<FrameAgents> = sweeps.iter().map(agents_of).collect();
+        let resources = scene.resources();
         let views = sweeps.iter().zip(&agents).map(|(sweep, agents)| LidarView {
-            splats: live.with(agents),
+            splats: FrameSplats::with_agents(scene.background(), &resources.pool, agents),
             lidar: &sweep.lidar,
             mode: sweep.mode,
         });
         let views: Vec<LidarView> = views.collect();
-        let rules = self.rules.unwrap_or(world.scene().rules());
+        let rules = self.rules.unwrap_or(scene.rules());
         let mut built = self.lidars.iter();
         let index = built.position(|renderer| renderer.options().rules == rules);
         let index = index.unwrap_or_else(|| {
@@ -388,9 +389,9 @@ impl BatchRenderer {
             if self.bakes_light_on_demand {
                 batch.scene.ready_light(&batch.agent_positions());
             }
-            let live = batch.scene.live();
-            let agents = batch.frame_agents(&live);
-            self.renderers[*renderer].submit(live.with(&agents), &batch.cameras)?;
+            let renderer = &mut self.renderers[*renderer];
+            let draw = |splats: FrameSplats<'_>| renderer.submit(splats, &batch.cameras);
+            batch.scene.lend(&batch.frame_agents(), draw)?;
             self.in_flight += 1;
         }
         Ok(())

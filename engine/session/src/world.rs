@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use decouplegs_render::FrameAgents;
 use decouplegs_scene::{Motion, Pose, ShFrame};
 
 use super::{Scene, SessionError};
@@ -96,6 +97,13 @@ impl World {
     #[must_use]
     pub fn agents(&self) -> &[WorldAgent] {
         &self.agents
+    }
+
+    /// Agents that images show and the shadows that they throw, in the light of the scene: for
+    /// [`Scene::lend`].
+    #[must_use]
+    pub fn frame_agents(&self) -> FrameAgents {
+        self.scene.lit(&self.present_agents().collect::<Vec<_>>())
     }
 
     /// Agents that images show.
