@@ -6,7 +6,7 @@ mod worlds;
 use std::sync::Arc;
 
 use decouplegs::render::layout::BeamState;
-use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
+use decouplegs::render::reference::lidar::{BeamHit64, LidarSplats64, SplatGroup};
 use decouplegs::render::{
     Agent, AssetPool, FrameAgents, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats,
     Storage, TracedSweep,
@@ -267,7 +267,7 @@ fn trace(gpu: &Validated, world: &SplatScene, lidar: &Lidar, sectors: usize) -> 
 }
 
 fn truth_of(world: &SplatScene, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {
-    let scene = LidarScene64 {
+    let scene = LidarSplats64 {
         groups: vec![group(&world.splats, world.origin)],
         rules: world.rules,
     };
@@ -452,7 +452,7 @@ fn sweeps_in_motion_are_their_definition() {
             motion,
         });
     }
-    let scene = LidarScene64 {
+    let scene = LidarSplats64 {
         groups,
         rules: world.rules,
     };

@@ -7,7 +7,7 @@ use decouplegs::render::layout::{
     BeamEchoes, BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
 };
 use decouplegs::render::lidar::{SectorPlan, Sectors};
-use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
+use decouplegs::render::reference::lidar::{LidarSplats64, SplatGroup};
 use decouplegs::render::stages::{
     LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar, ProjectLidar, Records, Scan,
     SectorBuffers, TileSort, TraceLidar,
@@ -475,7 +475,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
 /// Asserts that every splat of `world` that adds to a beam by definition is in the list of the
 /// beam's coarse tile, with cells around the beam's; returns pairs tested and pairs that add.
 fn check_lists(what: &str, listed: &Listed, world: &SplatScene, lidar: &Lidar) -> [usize; 2] {
-    let truth = LidarScene64 {
+    let truth = LidarSplats64 {
         groups: vec![SplatGroup {
             splats: &world.splats,
             instances: &[],

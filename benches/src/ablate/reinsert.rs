@@ -15,7 +15,7 @@ use decouplegs::{Session, SessionOptions, World};
 use super::affine;
 use super::cars::Cars;
 use super::example_crops::{self, ExampleCrops};
-use super::reinsertion_scene::{ReinsertionScene, Truth};
+use super::reinsertion_street::{ReinsertionStreet, Truth};
 use super::ring::{self, Darkness};
 
 /// A way to put cars back.
@@ -129,7 +129,7 @@ pub struct Reinserted {
 /// Setup of the reinsertion of cars into one street.
 pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
-    pub stage: &'a ReinsertionScene,
+    pub stage: &'a ReinsertionStreet,
     pub cars: &'a Cars,
     /// The light of the street, without shading by normals.
     pub lighting: &'a Lighting,

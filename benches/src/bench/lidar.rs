@@ -9,7 +9,7 @@ use decouplegs::asset::write_atomically;
 use decouplegs::episode::chosen_lidars;
 use decouplegs::gpu::{Gpu, KernelTrial, MemoryReport};
 use decouplegs::render::layout::BeamState;
-use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
+use decouplegs::render::reference::lidar::{BeamHit64, LidarSplats64, SplatGroup};
 use decouplegs::render::{LidarOptions, LidarRenderer, TracedSweep};
 use decouplegs::scene::lidar::{Beam, ReturnMode};
 use decouplegs::scene::{Lidar, Motion, Pose};
@@ -259,7 +259,7 @@ fn truth(input: &DrawInput, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64>
             motion: agent.trajectory.motion_at(time_s),
         })
     });
-    let reference = LidarScene64 {
+    let reference = LidarSplats64 {
         groups: std::iter::once(background).chain(agents).collect(),
         rules: input.rules(),
     };

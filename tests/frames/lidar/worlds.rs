@@ -4,7 +4,7 @@ use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::TracedSweep;
-use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
+use decouplegs::render::reference::lidar::{LidarSplats64, SplatGroup};
 use decouplegs::render::{
     Agent, AssetPool, FrameAgents, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats,
     Storage,
@@ -149,7 +149,7 @@ fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (
     };
     let mut groups = vec![group(&world.splats, Pose::IDENTITY)];
     groups.extend(decoded.iter().map(|(pose, splats)| group(splats, *pose)));
-    let truth = LidarScene64 {
+    let truth = LidarSplats64 {
         groups,
         rules: Rules::DEFAULT,
     };
