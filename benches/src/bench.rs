@@ -344,8 +344,8 @@ fn time_frames(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Ti
     let options = arguments.options(input.rules());
     let mut renderer = Renderer::new(gpu, options);
     let copying = progress::spinner("copying the scene to the device".into());
-    let scene = Session::on(gpu, &options.into()).add_scene(&input.loaded)?;
-    let mut world = World::new(&scene);
+    let session = Session::on(gpu, &options.into());
+    let mut world = World::new(&session.add_scene(&input.loaded)?);
     copying.finish_and_clear();
     let count = arguments.warm_up + arguments.frames;
     let by_stage_count = arguments.frames.min(FRAMES_BY_STAGE_MAX);
@@ -364,8 +364,7 @@ fn time_frames(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Ti
                     None => frame,
                 };
                 let cameras = input.cameras_after(f64::from(moved) * arguments.step);
-                let agents = world.frame_agents();
-                scene.lend(&agents, |splats| renderer.submit(splats, &cameras))?;
+                world.lend(|splats| renderer.submit(splats, &cameras))?;
             }
             if place >= ahead {
                 frames.push(renderer.finish()?);
@@ -422,8 +421,8 @@ impl<'a> Comparison<'a> {
             ..arguments.options(input.rules())
         };
         let renderer = Renderer::new(gpu, options);
-        let scene = Session::on(gpu, &options.into()).add_scene(&input.loaded)?;
-        let mut world = World::new(&scene);
+        let session = Session::on(gpu, &options.into());
+        let mut world = World::new(&session.add_scene(&input.loaded)?);
         world.set_time(input.time_s);
         Ok(Self {
             renderer,
@@ -444,8 +443,7 @@ impl<'a> Comparison<'a> {
         let camera = &input.cameras[index];
         let working = progress::spinner(format!("{} by the f64 definition", camera.name));
         let cameras = std::slice::from_ref(camera);
-        let agents = world.frame_agents();
-        (world.scene()).lend(&agents, |splats| renderer.render(splats, cameras))?;
+        world.lend(|splats| renderer.render(splats, cameras))?;
         let found = cut(&renderer.read_images()?[0], window);
         let world_at = |later_s: f64| match later_s {
             0.0 => Cow::Borrowed(splat_scene),

@@ -198,10 +198,8 @@ fn draw_by(
     let mut renderer = Renderer::new(gpu, options);
     let session = Session::on(gpu, &options.into());
     let scene = session.add_layer(loaded, layer).unwrap();
-    scene
-        .lend(&World::new(&scene).frame_agents(), |splats| {
-            renderer.render(splats, &cameras(loaded))
-        })
+    World::new(&scene)
+        .lend(|splats| renderer.render(splats, &cameras(loaded)))
         .unwrap();
     renderer.read_images().unwrap()
 }

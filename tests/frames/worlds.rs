@@ -500,9 +500,8 @@ fn a_session_draws_each_scene_by_its_own_rules() {
                 ..RenderOptions::default()
             },
         );
-        let agents = worlds[view].frame_agents();
-        scenes[view]
-            .lend(&agents, |splats| renderer.render(splats, &cameras))
+        worlds[view]
+            .lend(|splats| renderer.render(splats, &cameras))
             .unwrap();
         let mut bytes = ImageBytes::default();
         renderer.read_bytes(&mut bytes).unwrap();

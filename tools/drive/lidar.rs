@@ -170,8 +170,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut stored = RenderOptions::default();
     arguments.background.apply_to(&mut stored);
     let renderer = Renderer::new(&gpu, stored);
-    let scene = Session::on(&gpu, &stored.into()).add_scene(&loaded)?;
-    let mut world = World::new(&scene);
+    let session = Session::on(&gpu, &stored.into());
+    let mut world = World::new(&session.add_scene(&loaded)?);
     world.set_time(start_s);
     let rules = loaded.splat_scene.rules;
     let options = LidarOptions {
@@ -185,9 +185,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .with_context(|| format!("{} cannot be made", arguments.out.display()))?;
     let mut lidars = LidarRenderer::new(&gpu, options);
     if let Some(file) = &arguments.compare {
-        scene.lend(&world.frame_agents(), |splats| {
-            compare(file, arguments, &loaded, splats, &mut lidars)
-        })?;
+        world.lend(|splats| compare(file, arguments, &loaded, splats, &mut lidars))?;
         return check_validation(&gpu);
     }
     let mounted = mounted(arguments, &loaded.rig)?;
@@ -207,8 +205,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let motion = Motion::between(&start, &end, model.sweep_s);
         let lidar = mounted.sweep_from(&start, &motion);
         world.set_time(time_s);
-        let trace = |splats: FrameSplats<'_>| lidars.trace(splats, &lidar, mode);
-        let traced = scene.lend(&world.frame_agents(), trace)?;
+        let traced = world.lend(|splats| lidars.trace(splats, &lidar, mode))?;
         let sweep = traced.returns(&ReturnOptions {
             mode,
             opacity_min: arguments.opacity_min,

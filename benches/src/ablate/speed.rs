@@ -2,9 +2,7 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{
-    ColorFormat, FrameSplats, Outputs, RenderOptions, Renderer, ResidentSplats,
-};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, ResidentSplats};
 use decouplegs::scene::SplatScene;
 use decouplegs::{Session, World, asset::LoadedScene};
 
@@ -50,13 +48,11 @@ impl<'a> Speed<'a> {
     pub fn of_coded(&self, driven: &LoadedScene) -> Result<Measured> {
         let mut renderer = self.renderer(true, 2);
         let session = Session::on(self.gpu, &(*renderer.options()).into());
-        let scene = session.add_scene(driven)?;
-        let mut world = World::new(&scene);
+        let mut world = World::new(&session.add_scene(driven)?);
         self.drive(&mut renderer, |renderer, time_s| {
             world.set_time(time_s);
             let cameras = self.schedule.cameras(self.scene, time_s);
-            let submit = |splats: FrameSplats<'_>| renderer.submit(splats, &cameras);
-            Ok(scene.lend(&world.frame_agents(), submit)?)
+            Ok(world.lend(|splats| renderer.submit(splats, &cameras))?)
         })
     }
 

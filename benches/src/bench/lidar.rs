@@ -116,16 +116,16 @@ fn time_sweeps(
 ) -> Result<Timed> {
     let session = Session::on(gpu, &arguments.options(input.rules()).into());
     let copying = progress::spinner("copying the scene to the device".into());
-    let scene = session.add_scene(&input.loaded)?;
+    let mut world = World::new(&session.add_scene(&input.loaded)?);
     copying.finish_and_clear();
     let options = LidarOptions {
         rules: input.rules(),
         ..LidarOptions::default()
     };
     let mut lidars = LidarRenderer::new(gpu, options);
-    let mut world = World::new(&scene);
     world.set_time(subject.time_s);
     let agents = world.frame_agents();
+    let scene = world.scene();
     let trace = |lidars: &mut LidarRenderer| {
         scene.lend(&agents, |splats| {
             lidars.trace(splats, &subject.lidar, subject.mode)

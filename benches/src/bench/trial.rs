@@ -124,13 +124,10 @@ fn image(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Image> {
         ..arguments.options(input.rules())
     };
     let mut renderer = Renderer::new(gpu, options);
-    let scene = Session::on(gpu, &options.into()).add_scene(&input.loaded)?;
-    let mut world = World::new(&scene);
+    let session = Session::on(gpu, &options.into());
+    let mut world = World::new(&session.add_scene(&input.loaded)?);
     world.set_time(input.time_s);
-    let cameras = &input.cameras[..1];
-    scene.lend(&world.frame_agents(), |splats| {
-        renderer.render(splats, cameras)
-    })?;
+    world.lend(|splats| renderer.render(splats, &input.cameras[..1]))?;
     Ok(renderer.read_images()?.swap_remove(0))
 }
 

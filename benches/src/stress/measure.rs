@@ -5,8 +5,8 @@ use anyhow::Result;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use decouplegs::render::{
-    ColorFormat, FrameSplats, Image, Outputs, Plane, RenderError, RenderOptions, Renderer,
-    ResidentSplats, SHAPE_WORDS,
+    ColorFormat, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, ResidentSplats,
+    SHAPE_WORDS,
 };
 use decouplegs::scene::{Camera, CodedCloud, DetailLevels, SplatScene};
 use decouplegs::{Session, SessionError, World};
@@ -48,8 +48,7 @@ impl Resident {
             Self::Copies(splat_scene) => renderer.submit(&**splat_scene, cameras),
             Self::Coded(world) => {
                 world.set_time(time_s);
-                let submit = |splats: FrameSplats<'_>| renderer.submit(splats, cameras);
-                world.scene().lend(&world.frame_agents(), submit)
+                world.lend(|splats| renderer.submit(splats, cameras))
             }
         }
     }

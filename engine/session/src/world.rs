@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use decouplegs_render::FrameAgents;
+use decouplegs_render::{FrameAgents, FrameSplats};
 use decouplegs_scene::{Motion, Pose, ShFrame};
 
 use super::{Scene, SessionError};
@@ -99,11 +99,15 @@ impl World {
         &self.agents
     }
 
-    /// Agents that images show and the shadows that they throw, in the light of the scene: for
-    /// [`Scene::lend`].
+    /// Agents that images show and the shadows that they throw, in the light of the scene.
     #[must_use]
     pub fn frame_agents(&self) -> FrameAgents {
         self.scene.lit(&self.present_agents().collect::<Vec<_>>())
+    }
+
+    /// Lends what images show to `draw`, as [`Scene::lend`] does.
+    pub fn lend<T>(&self, draw: impl FnOnce(FrameSplats<'_>) -> T) -> T {
+        self.scene.lend(&self.frame_agents(), draw)
     }
 
     /// Agents that images show.

@@ -121,8 +121,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     arguments.background.apply_to(&mut options);
     let mut renderer = Renderer::new(&gpu, options);
-    let scene = Session::on(&gpu, &options.into()).add_scene(&loaded)?;
-    let world = World::new(&scene);
+    let session = Session::on(&gpu, &options.into());
+    let world = World::new(&session.add_scene(&loaded)?);
     let compared = compare_all(&found, &mut renderer, &world, &out.join("rendered"))?;
     let detections = match (&mut detector, files) {
         (Some(detector), _) => Some(detected(detector, &compared)?),
@@ -142,7 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut lidars = lidars(&gpu, &loaded);
     let mut compared_scans = Vec::new();
     for (file, (scan, pose)) in arguments.scan.iter().zip(&scans) {
-        let comparison = scene.lend(&world.frame_agents(), |splats| {
+        let comparison = world.lend(|splats| {
             let comparison = ScanComparison::new(&mut lidars, splats, scan, *pose)?;
             let Some(sensor) = loaded.rig.lidars().next() else {
                 return Ok(comparison);
@@ -219,8 +219,7 @@ fn lidars(gpu: &Gpu, loaded: &LoadedScene) -> LidarRenderer {
 /// The scene from the view of a photograph.
 fn compare(photograph: Photograph, renderer: &mut Renderer, world: &World) -> Result<Compared> {
     let camera = std::slice::from_ref(&photograph.camera);
-    let agents = world.frame_agents();
-    (world.scene()).lend(&agents, |splats| renderer.render(splats, camera))?;
+    world.lend(|splats| renderer.render(splats, camera))?;
     let rendered = renderer.read_images()?.swap_remove(0);
     let name = &photograph.name;
     let difference =
