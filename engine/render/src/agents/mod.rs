@@ -424,7 +424,7 @@ impl AgentList {
         self.cameras.extend(seen_by);
         self.agents += 1;
         self.counts.agents += 1;
-        self.counts.clusters += asset.levels[level].chunks();
+        self.counts.clusters += asset.levels[level].cluster_count();
         self.splats += self.records[self.records.len() - 1].splat_count as usize;
     }
 }
