@@ -204,7 +204,7 @@ impl Scene {
         &self.ego
     }
 
-    /// The agents of the scene file that can be moved, with which a [`World`] begins.
+    /// The agents of the scene file that can be moved, with which a [`super::World`] begins.
     #[must_use]
     pub fn agents(&self) -> &[LoadedAgent] {
         &self.agents
