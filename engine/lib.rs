@@ -38,8 +38,7 @@ pub use decouplegs_logs as logs;
 pub use decouplegs_render as render;
 pub use decouplegs_scene as scene;
 pub use decouplegs_session::{
-    self as session, AgentInstance, LiveScene, SceneSnapshot, measure_movable_scene,
-    open_movable_scene,
+    self as session, AgentInstance, measure_movable_scene, open_movable_scene,
 };
 pub use decouplegs_sim::{
     episode, footing, hugsim_import, names, planner, recorded, scenario_import, track_import,
@@ -50,6 +49,6 @@ pub use decouplegs_train as train;
 pub use glam;
 pub use scene::{Camera, Framing, Intrinsics, Pose, Rig, Rules, Scenario, SplatCloud, Trajectory};
 pub use session::{
-    BatchRenderer, HostImages, RigRenderer, RigSweep, Session, SessionError, SessionOptions,
-    SessionScene, World, WorldView, save_png,
+    BatchRenderer, HostImages, RigRenderer, RigSweep, Scene, Session, SessionError, SessionOptions,
+    World, WorldView, save_png,
 };

@@ -32,7 +32,7 @@ use crate::camera_path::CameraPath;
 use crate::device::{DeviceArguments, check_validation};
 use crate::outputs::Force;
 use crate::progress;
-use crate::scene_source::{Scene, SceneArguments};
+use crate::scene_source::{DrawInput, SceneArguments};
 
 /// Render a scene for every camera, one image each, named by the camera; the files are listed as
 /// they are written
@@ -188,39 +188,39 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let path = arguments.camera_path.as_deref();
     let path = path.map(CameraPath::read).transpose()?;
-    let read = || Scene::open(&arguments.scene);
-    let (gpu, mut scene) = match arguments.reference {
+    let read = || DrawInput::open(&arguments.scene);
+    let (gpu, mut input) = match arguments.reference {
         true => (None, read()?),
         false => {
-            let (gpu, scene) = arguments.device.open_beside(read)?;
-            (Some(gpu), scene)
+            let (gpu, input) = arguments.device.open_beside(read)?;
+            (Some(gpu), input)
         }
     };
     let times_s = match &path {
-        Some(path) => follow(path, &mut scene, arguments)?,
+        Some(path) => follow(path, &mut input, arguments)?,
         None => {
-            scene.warn_of_shapes();
+            input.warn_of_shapes();
             Vec::new()
         }
     };
-    check_names(&scene.cameras)?;
+    check_names(&input.cameras)?;
     if arguments.contact_sheet.is_some() {
         let format = ImageFileFormat::from(arguments.format);
-        let images = scene.cameras.iter();
+        let images = input.cameras.iter();
         images
             .map(|camera| image_path(&arguments.out, camera, format))
             .try_for_each(|image| outputs.file(&image))?;
     }
     if arguments.layer == LayerName::Agents {
         // What is laid over another image has the colors of the scene.
-        let cameras = scene.cameras.iter_mut();
+        let cameras = input.cameras.iter_mut();
         cameras.for_each(|camera| camera.intrinsics.photometry = Photometry::IDENTITY);
     }
-    let scene = scene;
-    warn_of_plain_agents(&scene, arguments);
-    let labels = Labels::new(&scene);
+    let input = input;
+    warn_of_plain_agents(&input, arguments);
+    let labels = Labels::new(&input);
     let counter = || match &gpu {
-        Some(gpu) => Counter::on(gpu, &scene),
+        Some(gpu) => Counter::on(gpu, &input),
         None => Counter::Reference,
     };
     let mut writer = ImageWriter {
@@ -232,11 +232,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         kept: arguments.contact_sheet.as_ref().map(|_| vec![]),
         boxes: arguments
             .boxes
-            .then(|| BoxList::new(&scene, &labels, counter())),
+            .then(|| BoxList::new(&input, &labels, counter())),
         labels: &labels,
     };
     match &gpu {
-        Some(gpu) => render_on_gpu(gpu, &scene, &times_s, arguments, &mut writer)?,
+        Some(gpu) => render_on_gpu(gpu, &input, &times_s, arguments, &mut writer)?,
         None => {
             let planes = arguments.planes.iter();
             if let Some(plane) = planes
@@ -248,7 +248,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                     plane.name()
                 );
             }
-            render_by_definition(&scene, arguments, &mut writer)?;
+            render_by_definition(&input, arguments, &mut writer)?;
         }
     }
     if arguments.planes.contains(&WrittenPlane::Class) {
@@ -267,12 +267,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     drop(writer);
     // The program need not wait for its memory to be given back.
-    release(scene);
+    release(input);
     Ok(())
 }
 
-/// Gives `scene` the cameras of `path`. Returns the time of each, seconds.
-fn follow(path: &CameraPath, scene: &mut Scene, arguments: &Arguments) -> Result<Vec<f64>> {
+/// Gives `input` the cameras of `path`. Returns the time of each, seconds.
+fn follow(path: &CameraPath, input: &mut DrawInput, arguments: &Arguments) -> Result<Vec<f64>> {
     ensure!(
         !arguments.planes.contains(&WrittenPlane::Moving),
         "--planes moving is that of one time, and a camera path has many: leave it out"
@@ -284,12 +284,12 @@ fn follow(path: &CameraPath, scene: &mut Scene, arguments: &Arguments) -> Result
         let name = format!("path_{index:05}");
         path.at(time_s).view().camera(&name, size_px)
     };
-    scene.cameras = times_s.iter().enumerate().map(camera).collect();
+    input.cameras = times_s.iter().enumerate().map(camera).collect();
     Ok(times_s)
 }
 
 /// Says that agents of plain splats stand still where motion is asked for.
-fn warn_of_plain_agents(scene: &Scene, arguments: &Arguments) {
+fn warn_of_plain_agents(input: &DrawInput, arguments: &Arguments) {
     let rolls = |camera: &Camera| !camera.intrinsics.shutter.is_global();
     let shows_motion = |plane: &WrittenPlane| {
         matches!(
@@ -297,10 +297,10 @@ fn warn_of_plain_agents(scene: &Scene, arguments: &Arguments) {
             Plane::FlowForward | Plane::FlowBackward | Plane::SceneFlow
         )
     };
-    let count = scene.loaded.plain_agents.len();
+    let count = input.loaded.plain_agents.len();
     let asks = arguments.exposure.is_some()
         || arguments.planes.iter().any(shows_motion)
-        || scene.cameras.iter().any(rolls);
+        || input.cameras.iter().any(rolls);
     if count > 0 && asks {
         warn(&format!(
             "{count} agents are plain splats, which are part of the background: they count as at \
@@ -381,12 +381,12 @@ impl ImageWriter<'_> {
 /// Renders every camera on a device. `times_s`: the time of each, where cameras have their own.
 fn render_on_gpu(
     gpu: &Gpu,
-    scene: &Scene,
+    input: &DrawInput,
     times_s: &[f64],
     arguments: &Arguments,
     writer: &mut ImageWriter,
 ) -> Result<()> {
-    let bar = progress::bar("images", scene.cameras.len());
+    let bar = progress::bar("images", input.cameras.len());
     // What a PNG can hold takes a quarter of the memory; divided by alpha it would show the steps
     // of 8 bits.
     let color = match writer.format {
@@ -412,25 +412,25 @@ fn render_on_gpu(
             flow_interval_s: arguments.flow_interval,
             ..RenderOptions::default()
         },
-        rules: Some(scene.rules()),
+        rules: Some(input.rules()),
         bakes_light_on_demand: false,
         ..SessionOptions::default()
     };
     arguments.background.apply_to(&mut options.render);
     let session = Session::on(gpu, &options);
     let copying = progress::spinner("copying the scene to the device".into());
-    let on_device = session.add_layer(&scene.loaded, arguments.layer.into())?;
+    let on_device = session.add_layer(&input.loaded, arguments.layer.into())?;
     copying.finish_and_clear();
     let mut world = World::new(&on_device);
     let mut renderer = session.batch_renderer();
-    let (mut left, mut count) = (scene.cameras.as_slice(), 1);
+    let (mut left, mut count) = (input.cameras.as_slice(), 1);
     while !left.is_empty() {
         let begun = Instant::now();
-        let own_s = times_s.get(scene.cameras.len() - left.len());
-        let time_s = *own_s.unwrap_or(&scene.time_s);
+        let own_s = times_s.get(input.cameras.len() - left.len());
+        let time_s = *own_s.unwrap_or(&input.time_s);
         let (cameras, rest) = left.split_at(count.min(left.len()));
         left = rest;
-        let images = exposed(scene, arguments, cameras, |later_s, cameras| {
+        let images = exposed(input, arguments, cameras, |later_s, cameras| {
             world.set_time(time_s + later_s);
             let view = WorldView {
                 world: &world,

@@ -10,7 +10,7 @@ mod geometry;
 mod page;
 mod placing;
 mod reinsert;
-mod reinsertion_scene;
+mod reinsertion_street;
 mod ring;
 mod speed;
 mod system;
@@ -33,7 +33,7 @@ use cars::Cars;
 use figures::Report;
 use placing::Drift;
 use reinsert::Reinsertion;
-use reinsertion_scene::ReinsertionScene;
+use reinsertion_street::ReinsertionStreet;
 
 /// Reinsert cars into streets that they were removed from, and leave out parts of the system one by
 /// one
@@ -173,7 +173,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut system = None;
     for &weather in &weathers {
         let options = street_options(arguments, weather);
-        let stage = ReinsertionScene::set(
+        let stage = ReinsertionStreet::set(
             &options,
             &cars,
             (&light, relighting),

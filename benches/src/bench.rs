@@ -16,7 +16,6 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use decouplegs::LiveScene;
 use decouplegs::asset::write_atomically;
 use decouplegs::gpu::{DeviceInfo, DeviceOptions, Gpu, KernelReport, KernelTrial, MemoryReport};
 use decouplegs::render::metrics::{Difference, Flips};
@@ -26,13 +25,14 @@ use decouplegs::render::{
     ColorFormat, FrameStatistics, Outputs, Plane, PlaneMap, RenderOptions, Renderer,
 };
 use decouplegs::scene::{Intrinsics, Rules, SplatScene};
+use decouplegs::{Session, World};
 
 use crate::arguments::{Size, finite, pixels, plane_names, print};
 use crate::background::BackgroundArguments;
 use crate::device::{DeviceArguments, check_validation};
 use crate::outputs::Force;
 use crate::progress;
-use crate::scene_source::{Scene, SceneArguments};
+use crate::scene_source::{DrawInput, SceneArguments};
 
 /// Measure frames on a GPU: time per stage, memory by purpose, and error against the f64 reference
 #[derive(clap::Args)]
@@ -266,15 +266,15 @@ struct ImageError {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let written = [&arguments.json, &arguments.trace, &arguments.trace_image];
     arguments.force.files(&[], written.into_iter().flatten())?;
-    let mut scene = Scene::open(&arguments.scene)?;
-    scene.warn_of_shapes();
-    let used = arguments.cameras_used.unwrap_or(scene.cameras.len());
+    let mut input = DrawInput::open(&arguments.scene)?;
+    input.warn_of_shapes();
+    let used = arguments.cameras_used.unwrap_or(input.cameras.len());
     ensure!(
-        (1..=scene.cameras.len()).contains(&used),
+        (1..=input.cameras.len()).contains(&used),
         "--cameras-used {used}: the scene has {} cameras",
-        scene.cameras.len()
+        input.cameras.len()
     );
-    scene.cameras.truncate(used);
+    input.cameras.truncate(used);
     ensure!(
         arguments.error_cameras <= used,
         "--error-cameras {}: {used} cameras are rendered",
@@ -282,10 +282,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     );
 
     if let Some(name) = &arguments.lidar {
-        return lidar::run(name, &scene, arguments);
+        return lidar::run(name, &input, arguments);
     }
     if !arguments.trial.is_empty() {
-        let figures = trial::run(&scene, arguments)?;
+        let figures = trial::run(&input, arguments)?;
         return match &arguments.json {
             Some(path) => Ok(write_atomically(path, |file| {
                 writeln!(file, "{figures:#}")
@@ -294,7 +294,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         };
     }
     let gpu = arguments.open(KernelTrial::default())?;
-    let timed = time_frames(&gpu, &scene, arguments)?;
+    let timed = time_frames(&gpu, &input, arguments)?;
     if arguments.trace.is_some() || arguments.trace_image.is_some() {
         let trace = trace::chrome_trace(&timed.by_stage, gpu.clock()?);
         if let Some(path) = &arguments.trace {
@@ -304,15 +304,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             write_atomically(path, |file| file.write_all(trace::image(&trace).as_bytes()))?;
         }
     }
-    let window = middle(&scene.cameras[0].intrinsics, arguments.error_window);
-    let mut comparison = Comparison::new(&gpu, &scene, arguments)?;
+    let window = middle(&input.cameras[0].intrinsics, arguments.error_window);
+    let mut comparison = Comparison::new(&gpu, &input, arguments)?;
     let (difference, _) = comparison.differences(0, window)?;
     let images = comparison.whole_images(arguments.error_cameras)?;
     drop(comparison);
     check_validation(&gpu)?;
 
     let (device, warm_up) = (gpu.info().clone(), arguments.warm_up);
-    let (options, step_s) = (arguments.options(scene.rules()), arguments.step);
+    let (options, step_s) = (arguments.options(input.rules()), arguments.step);
     let measured = Measured {
         device,
         options,
@@ -324,7 +324,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         images,
         kernels: gpu.kernel_reports(),
     };
-    let mut figures = report::figures(&scene, &measured);
+    let mut figures = report::figures(&input, &measured);
     if arguments.kernels {
         figures["kernels"] = kernels::figures(&measured.kernels);
     }
@@ -340,15 +340,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// The frames after the warm-up, the wall clock from one to the next, and the memory that they
 /// took; then the frames whose stages are timed.
-fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed> {
-    let mut renderer = Renderer::new(gpu, arguments.options(scene.rules()));
+fn time_frames(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Timed> {
+    let options = arguments.options(input.rules());
+    let mut renderer = Renderer::new(gpu, options);
     let copying = progress::spinner("copying the scene to the device".into());
-    let live = LiveScene::new(&renderer, &scene.loaded)?;
+    let session = Session::on(gpu, &options.into());
+    let mut world = World::new(&session.add_scene(&input.loaded)?);
     copying.finish_and_clear();
     let count = arguments.warm_up + arguments.frames;
     let by_stage_count = arguments.frames.min(FRAMES_BY_STAGE_MAX);
     let bar = progress::bar("frames", (count + by_stage_count) as usize);
-    let draw = |renderer: &mut Renderer, range: Range<u32>| {
+    let mut draw = |renderer: &mut Renderer, range: Range<u32>| {
         let (mut frames, mut steps_ms) = (Vec::new(), Vec::new());
         let mut last = Instant::now();
         let ahead = usize::from(arguments.in_flight) - 1;
@@ -356,13 +358,13 @@ fn time_frames(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Timed>
         for place in 0..range.len() + ahead {
             if let Some(frame) = moments.next() {
                 let later_s = f64::from(frame) * arguments.step;
-                let moment = live.at(scene.time_s + later_s);
+                world.set_time(input.time_s + later_s);
                 let moved = match &arguments.ego_stands {
                     Some(stands) => stands.frames_moved(frame),
                     None => frame,
                 };
-                let cameras = scene.cameras_after(f64::from(moved) * arguments.step);
-                renderer.submit(live.with(&moment), &cameras)?;
+                let cameras = input.cameras_after(f64::from(moved) * arguments.step);
+                world.lend(|splats| renderer.submit(splats, &cameras))?;
             }
             if place >= ahead {
                 frames.push(renderer.finish()?);
@@ -407,24 +409,26 @@ fn middle(image: &Intrinsics, size: Size) -> Window {
 /// reference's.
 struct Comparison<'a> {
     renderer: Renderer,
-    live: LiveScene,
-    scene: &'a Scene,
+    world: World,
+    input: &'a DrawInput,
     splat_scene: SplatScene,
 }
 
 impl<'a> Comparison<'a> {
-    fn new(gpu: &Gpu, scene: &'a Scene, arguments: &Arguments) -> Result<Self> {
+    fn new(gpu: &Gpu, input: &'a DrawInput, arguments: &Arguments) -> Result<Self> {
         let options = RenderOptions {
             outputs: Outputs::default(),
-            ..arguments.options(scene.rules())
+            ..arguments.options(input.rules())
         };
         let renderer = Renderer::new(gpu, options);
-        let live = LiveScene::new(&renderer, &scene.loaded)?;
+        let session = Session::on(gpu, &options.into());
+        let mut world = World::new(&session.add_scene(&input.loaded)?);
+        world.set_time(input.time_s);
         Ok(Self {
             renderer,
-            live,
-            scene,
-            splat_scene: scene.splat_scene(),
+            world,
+            input,
+            splat_scene: input.splat_scene(),
         })
     }
 
@@ -432,20 +436,18 @@ impl<'a> Comparison<'a> {
     fn differences(&mut self, index: usize, window: Window) -> Result<(Difference, Flips)> {
         let Self {
             renderer,
-            live,
-            scene,
+            world,
+            input,
             splat_scene,
         } = self;
-        let camera = &scene.cameras[index];
+        let camera = &input.cameras[index];
         let working = progress::spinner(format!("{} by the f64 definition", camera.name));
-        renderer.render(
-            live.with(&live.at(scene.time_s)),
-            std::slice::from_ref(camera),
-        )?;
+        let cameras = std::slice::from_ref(camera);
+        world.lend(|splats| renderer.render(splats, cameras))?;
         let found = cut(&renderer.read_images()?[0], window);
         let world_at = |later_s: f64| match later_s {
             0.0 => Cow::Borrowed(splat_scene),
-            _ => Cow::Owned(scene.loaded.baked(scene.time_s + later_s)),
+            _ => Cow::Owned(input.loaded.baked(input.time_s + later_s)),
         };
         let expected =
             reference::render_moving_window(&world_at, camera, &splat_scene.rules, window);
@@ -461,8 +463,8 @@ impl<'a> Comparison<'a> {
     fn whole_images(&mut self, count: usize) -> Result<Vec<ImageError>> {
         let mut errors = Vec::with_capacity(count);
         for place in 0..count {
-            let index = place * self.scene.cameras.len() / count;
-            let camera = &self.scene.cameras[index];
+            let index = place * self.input.cameras.len() / count;
+            let camera = &self.input.cameras[index];
             let whole = Window::whole(&camera.intrinsics);
             let (difference, flips) = self.differences(index, whole)?;
             errors.push(ImageError {

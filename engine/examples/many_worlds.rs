@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use decouplegs::scene::Camera;
-use decouplegs::session::{HostImages, Session, SessionOptions, SessionScene, World, WorldView};
+use decouplegs::session::{HostImages, Scene, Session, SessionOptions, World, WorldView};
 
 /// Workload of the benchmark: views and duration.
 struct Course {
@@ -28,14 +28,14 @@ struct Course {
 
 impl Course {
     /// Time of the ego of world `world` at step `step`: over its whole path, repeatedly.
-    fn time_s(&self, scene: &SessionScene, world: usize, step: u32) -> f64 {
+    fn time_s(&self, scene: &Scene, world: usize, step: u32) -> f64 {
         let span_s = scene.ego().poses().last().map_or(0.0, |last| last.time_s);
         let time_s = 0.1 * f64::from(step) + span_s * world as f64 / self.worlds as f64;
         if span_s > 0.0 { time_s % span_s } else { 0.0 }
     }
 
     /// The rig's first camera on an ego.
-    fn cameras(&self, scene: &SessionScene, time_s: f64) -> Result<Vec<Camera>, Box<dyn Error>> {
+    fn cameras(&self, scene: &Scene, time_s: f64) -> Result<Vec<Camera>, Box<dyn Error>> {
         let mut rig = scene.rig().clone();
         rig.sensors.truncate(1);
         let front = rig
@@ -49,7 +49,7 @@ impl Course {
     fn run(
         &self,
         session: &Session,
-        scene: &std::sync::Arc<SessionScene>,
+        scene: &std::sync::Arc<Scene>,
         to_host: bool,
         is_ahead: bool,
     ) -> Result<(), Box<dyn Error>> {

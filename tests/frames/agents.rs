@@ -2,7 +2,9 @@
 //! definition.
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, RenderOptions, Renderer, reference,
+};
 use decouplegs::scene::{
     AgentPlacement, Bounds, Camera, CodedCloud, Fog, Intrinsics, Motion, Pose, Rules, ShFrame,
     SplatCodes, SplatScene,
@@ -201,7 +203,10 @@ fn agents_are_the_decoded_splats_placed_in_the_world() {
             })
             .collect();
         let statistics = renderer
-            .render(Scene::with_agents(&resident, &pool, &agents), &cameras)
+            .render(
+                FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+                &cameras,
+            )
             .unwrap();
         assert_eq!(
             statistics.agents, 3,
@@ -251,7 +256,10 @@ fn draw_agents(
     );
     let resident = renderer.upload(world).unwrap();
     renderer
-        .render(Scene::with_agents(&resident, pool, agents), cameras)
+        .render(
+            FrameSplats::with_agents(&resident, pool, &FrameAgents::new(agents)),
+            cameras,
+        )
         .unwrap();
     renderer.read_images().unwrap()
 }
@@ -288,7 +296,10 @@ fn agents_come_go_change_and_move_between_frames() {
     let resident = renderer.upload(&world).unwrap();
     for (index, agents) in frames.iter().enumerate() {
         renderer
-            .render(Scene::with_agents(&resident, &pool, agents), &cameras)
+            .render(
+                FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+                &cameras,
+            )
             .unwrap();
         let images = renderer.read_images().unwrap();
         assert!(
@@ -323,7 +334,10 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
     );
     let resident = renderer.upload(&world).unwrap();
     renderer
-        .submit(Scene::with_agents(&resident, &pool, &agents), &cameras)
+        .submit(
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+            &cameras,
+        )
         .unwrap();
     pool.remove(asset).unwrap();
     // Its place is taken by another at once, and the pool grows.
@@ -335,7 +349,10 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
         })
         .collect();
     renderer
-        .submit(Scene::with_agents(&resident, &pool, &others), &cameras)
+        .submit(
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&others[..])),
+            &cameras,
+        )
         .unwrap();
     renderer.finish().unwrap();
     assert!(
@@ -345,7 +362,10 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
     renderer.finish().unwrap();
     assert!(renderer.read_images().unwrap() == draw_agents(&gpu, &world, &pool, &others, &cameras));
     let stale = renderer
-        .submit(Scene::with_agents(&resident, &pool, &agents), &cameras)
+        .submit(
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+            &cameras,
+        )
         .unwrap_err();
     assert!(stale.to_string().contains("removed"), "{stale}");
     let nowhere = [Agent {
@@ -356,7 +376,10 @@ fn an_asset_removed_is_drawn_by_the_frames_in_flight_and_by_no_other() {
         ..others[0]
     }];
     let error = renderer
-        .submit(Scene::with_agents(&resident, &pool, &nowhere), &cameras)
+        .submit(
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&nowhere[..])),
+            &cameras,
+        )
         .unwrap_err();
     assert!(error.to_string().contains("not finite"), "{error}");
 }
@@ -422,7 +445,10 @@ fn a_far_agent_is_drawn_at_a_coarser_level() {
         let resident = renderer.upload(&world).unwrap();
         let agents = [Agent::new(asset, Pose::from_yaw(0.0, DVec3::X * x), 1)];
         renderer
-            .render(Scene::with_agents(&resident, &pool, &agents), &camera)
+            .render(
+                FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+                &camera,
+            )
             .unwrap()
             .agent_splats
     };

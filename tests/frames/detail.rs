@@ -3,7 +3,8 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    GpuScene, Image, LidarOptions, LidarRenderer, RenderOptions, Renderer, Scene, Storage,
+    FrameSplats, Image, LidarOptions, LidarRenderer, RenderOptions, Renderer, ResidentSplats,
+    Storage,
 };
 use decouplegs::scene::lidar::ReturnMode;
 use decouplegs::scene::{Camera, DetailLevels, Motion, Pose, Rules, SplatScene};
@@ -155,14 +156,14 @@ fn lidars_meet_the_finest_level() {
     let (world, rig) = street(20_000);
     let center = rig[0].world_from_camera.translation;
     let scenes = [
-        GpuScene::upload(&gpu, &world, Storage::Exact).unwrap(),
-        GpuScene::upload_with_levels(&gpu, &world, Storage::Exact).unwrap(),
+        ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap(),
+        ResidentSplats::upload_with_levels(&gpu, &world, Storage::Exact).unwrap(),
     ];
     let (_, model) = models().remove(0);
     let lidar = lidar_at(model, center, Motion::REST);
     let [plain, with_levels] = scenes.map(|scene| {
         let mut renderer = LidarRenderer::new(&gpu, LidarOptions::default());
-        let traced = renderer.trace(Scene::from(&scene), &lidar, ReturnMode::Strongest);
+        let traced = renderer.trace(FrameSplats::from(&scene), &lidar, ReturnMode::Strongest);
         traced.unwrap().states
     });
     assert!(plain.iter().any(|state| state.transmittance < 0.5));

@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use decouplegs::LiveScene;
 use decouplegs::asset::scene_file::editing::{begun_at, shifted};
 use decouplegs::asset::{
     CodedAsset, Layer, LightTransferFile, LoadedScene, Provenance, SceneAgent, SceneFile,
@@ -197,9 +196,10 @@ fn draw_by(
     options: RenderOptions,
 ) -> Vec<Image> {
     let mut renderer = Renderer::new(gpu, options);
-    let live = LiveScene::layer(&renderer, loaded, layer).unwrap();
-    renderer
-        .render(live.with(&live.at(0.0)), &cameras(loaded))
+    let session = Session::on(gpu, &options.into());
+    let scene = session.add_layer(loaded, layer).unwrap();
+    World::new(&scene)
+        .lend(|splats| renderer.render(splats, &cameras(loaded)))
         .unwrap();
     renderer.read_images().unwrap()
 }

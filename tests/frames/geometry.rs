@@ -4,7 +4,8 @@ use std::borrow::Cow;
 
 use decouplegs::render::reference::geometry::{Geometry64, render_geometry};
 use decouplegs::render::{
-    Agent, AssetPool, Image, Outputs, Plane, Planes, RenderOptions, Renderer, Scene, reference,
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, Outputs, Plane, Planes, RenderOptions,
+    Renderer, reference,
 };
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, SplatScene,
@@ -75,7 +76,8 @@ impl Moving {
                 ..Agent::new(asset, pose, instance)
             })
             .collect();
-        let scene = Scene::with_agents(&resident, &pool, &agents);
+        let frame_agents = FrameAgents::new(&agents[..]);
+        let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
         renderer
             .render(scene, std::slice::from_ref(camera))
             .unwrap();

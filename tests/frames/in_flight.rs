@@ -1,6 +1,8 @@
 //! Frames that are submitted before others are finished.
 
-use decouplegs::render::{Agent, AssetPool, Capacity, RenderError, RenderOptions, Renderer, Scene};
+use decouplegs::render::{
+    Agent, AssetPool, Capacity, FrameAgents, FrameSplats, RenderError, RenderOptions, Renderer,
+};
 use decouplegs::scene::{Camera, Pose};
 use glam::DVec3;
 
@@ -43,7 +45,7 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
         .map(|frame| {
             one_by_one
                 .render(
-                    Scene::with_agents(&resident, &pool, &agents(frame)),
+                    FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(agents(frame))),
                     &camera(frame),
                 )
                 .unwrap();
@@ -68,7 +70,7 @@ fn frames_in_flight_are_those_drawn_one_by_one() {
             if step < 8 {
                 renderer
                     .submit(
-                        Scene::with_agents(&resident, &pool, &agents(step)),
+                        FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(agents(step))),
                         &camera(step),
                     )
                     .unwrap();
@@ -139,7 +141,8 @@ fn a_drive_is_recorded_once() {
     let resident = renderer.upload(&world).unwrap();
     let draw = |renderer: &mut Renderer, frame: usize| {
         let (agents, camera) = (agents(frame), camera(frame));
-        let scene = Scene::with_agents(&resident, &pool, &agents);
+        let frame_agents = FrameAgents::new(&agents[..]);
+        let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
         let statistics = renderer.render(scene, &camera).unwrap();
         assert_eq!(statistics.agents, 4 + frame % 4);
         (statistics.repeated, renderer.read_images().unwrap())

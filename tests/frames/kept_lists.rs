@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use decouplegs::render::{
-    Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameStatistics, GpuScene, Image, ListSource,
-    Outputs, Plane, Planes, RenderOptions, Renderer, Scene,
+    Agent, AssetId, AssetPool, Capacity, ColorFormat, FrameAgents, FrameSplats, FrameStatistics,
+    Image, ListSource, Outputs, Plane, Planes, RenderOptions, Renderer, ResidentSplats,
 };
 use decouplegs::scene::{
     Camera, DepthOrder, Fog, Pose, Rules, Shutter, ShutterDirection, SplatScene,
@@ -68,7 +68,7 @@ impl Site {
         }
     }
 
-    fn renderer(&self, keep_lists: bool, options: RenderOptions) -> (Renderer, GpuScene) {
+    fn renderer(&self, keep_lists: bool, options: RenderOptions) -> (Renderer, ResidentSplats) {
         let renderer = Renderer::new(
             &self.gpu,
             RenderOptions {
@@ -82,13 +82,19 @@ impl Site {
     }
 
     /// Frames with the cameras at `stops`, one stop per frame, drawn by `renderer`.
-    fn drive(&self, renderer: &mut Renderer, world: &GpuScene, stops: &[usize]) -> Vec<Shown> {
+    fn drive(
+        &self,
+        renderer: &mut Renderer,
+        world: &ResidentSplats,
+        stops: &[usize],
+    ) -> Vec<Shown> {
         let depth = renderer.options().frames_in_flight;
         let mut shown = Vec::new();
         for step in 0..stops.len() + depth - 1 {
             if let Some(&stop) = stops.get(step) {
                 let cars = cars(self.car, step);
-                let scene = Scene::with_agents(world, &self.pool, &cars);
+                let frame_agents = FrameAgents::new(&cars[..]);
+                let scene = FrameSplats::with_agents(world, &self.pool, &frame_agents);
                 renderer.submit(scene, &(self.rig)(stop)).unwrap();
             }
             if step + 1 >= depth {
@@ -351,7 +357,8 @@ fn another_background_and_taken_images_are_drawn_anew() {
         let mut taken = Vec::new();
         for step in 0..20 {
             let cars = cars(site.car, step % 5);
-            let scene = Scene::with_agents(worlds[step / 5], &site.pool, &cars);
+            let frame_agents = FrameAgents::new(&cars[..]);
+            let scene = FrameSplats::with_agents(worlds[step / 5], &site.pool, &frame_agents);
             let statistics = renderer.render(scene, &rig(0)).unwrap();
             frames.push((statistics, renderer.read_images().unwrap()));
             // Others may write into images that they took, and give them back.
@@ -376,12 +383,12 @@ fn another_background_and_taken_images_are_drawn_anew() {
 fn shadows_and_contributions_rule_kept_lists_out() {
     let site = Site::new(background(1000, 64));
     let (mut renderer, world) = site.renderer(true, RenderOptions::default());
-    let shadows = [shadow(DVec3::new(8.0, 1.0, -0.6), 0.3, 0.9)];
+    let shadows = FrameAgents {
+        shadows: vec![shadow(DVec3::new(8.0, 1.0, -0.6), 0.3, 0.9)],
+        ..FrameAgents::default()
+    };
     for _ in 0..4 {
-        let scene = Scene {
-            shadows: &shadows,
-            ..Scene::from(&world)
-        };
+        let scene = FrameSplats::with_agents(&world, &site.pool, &shadows);
         let statistics = renderer.render(scene, &rig(0)).unwrap();
         assert_eq!(statistics.lists, ListSource::Sorted);
     }

@@ -4,7 +4,9 @@
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use decouplegs::render::{Agent, AssetPool, KeySource, RenderOptions, Renderer, Scene};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, KeySource, RenderOptions, Renderer,
+};
 use decouplegs::scene::{Camera, Pose};
 use glam::{DQuat, DVec3};
 
@@ -79,7 +81,10 @@ fn a_drive_gives_the_same_bytes_with_and_without_kept_keys() {
         ];
         let images = renderers.each_mut().map(|renderer| {
             let statistics = renderer
-                .render(Scene::with_agents(&resident, &pool, &agents), &rig(frame))
+                .render(
+                    FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+                    &rig(frame),
+                )
                 .unwrap();
             if renderer.options().keep_keys {
                 for source in &statistics.keys {

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, RenderOptions, Renderer, Scene, reference};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, RenderOptions, Renderer, reference,
+};
 use decouplegs::scene::lens::{Fisheye, OpenCv, Windshield, WindshieldDirection};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Lens, Pose, Rules, ShFrame, SplatScene,
@@ -191,7 +193,10 @@ fn agents_through_lenses_are_the_decoded_splats_placed_in_the_world() {
         .map(|(&pose, instance)| Agent::new(asset, pose, instance))
         .collect();
     let statistics = renderer
-        .render(Scene::with_agents(&resident, &pool, &agents), &cameras)
+        .render(
+            FrameSplats::with_agents(&resident, &pool, &FrameAgents::new(&agents[..])),
+            &cameras,
+        )
         .unwrap();
     assert_eq!(
         statistics.agents, 3,

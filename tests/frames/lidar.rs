@@ -6,9 +6,10 @@ mod worlds;
 use std::sync::Arc;
 
 use decouplegs::render::layout::BeamState;
-use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
+use decouplegs::render::reference::lidar::{BeamHit64, LidarSplats64, SplatGroup};
 use decouplegs::render::{
-    Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage, TracedSweep,
+    Agent, AssetPool, FrameAgents, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats,
+    Storage, TracedSweep,
 };
 use decouplegs::scene::lidar::{
     Beam, FiringTime, LidarPattern, LidarRow, ReturnMode, ReturnOptions, Spin,
@@ -258,7 +259,7 @@ fn trace(gpu: &Validated, world: &SplatScene, lidar: &Lidar, sectors: usize) -> 
         rules: world.rules,
         sectors,
     };
-    let resident = GpuScene::upload(gpu, world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(gpu, world, Storage::Exact).unwrap();
     let mut renderer = LidarRenderer::new(gpu, options);
     renderer
         .trace(&resident, lidar, ReturnMode::Median)
@@ -266,7 +267,7 @@ fn trace(gpu: &Validated, world: &SplatScene, lidar: &Lidar, sectors: usize) -> 
 }
 
 fn truth_of(world: &SplatScene, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {
-    let scene = LidarScene64 {
+    let scene = LidarSplats64 {
         groups: vec![group(&world.splats, world.origin)],
         rules: world.rules,
     };
@@ -311,7 +312,7 @@ fn splats_of_the_sky_are_seen_and_not_met() {
     let traced = trace(&gpu, &world, &lidar, 8);
     assert_eq!(traced.states, trace(&gpu, &met, &lidar, 8).states);
     assert_ne!(traced.states, all.states);
-    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap();
     assert_eq!(resident.splats, splats);
     assert_eq!(resident.for_lidar().splats, splats / 2);
 }
@@ -320,7 +321,7 @@ fn splats_of_the_sky_are_seen_and_not_met() {
 fn dual_returns_are_their_definition() {
     let gpu = Validated::open();
     let world = surroundings(3000, 4);
-    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap();
     let mut renderer = LidarRenderer::new(&gpu, LidarOptions::default());
     for (what, model) in models() {
         let lidar = lidar_at(model, world.origin, Motion::REST);
@@ -432,7 +433,7 @@ fn sweeps_in_motion_are_their_definition() {
             },
         ),
     ];
-    let resident = GpuScene::upload(&gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(&gpu, &world, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(&gpu).unwrap();
     let agents: Vec<Agent> = (cars.iter().zip(moving).enumerate())
         .map(|(index, (car, (pose, motion)))| Agent {
@@ -451,7 +452,7 @@ fn sweeps_in_motion_are_their_definition() {
             motion,
         });
     }
-    let scene = LidarScene64 {
+    let scene = LidarSplats64 {
         groups,
         rules: world.rules,
     };
@@ -463,7 +464,8 @@ fn sweeps_in_motion_are_their_definition() {
                 ..LidarOptions::default()
             };
             let mut renderer = LidarRenderer::new(&gpu, options);
-            let with_agents = Scene::with_agents(&resident, &pool, &agents);
+            let frame_agents = FrameAgents::new(&agents[..]);
+            let with_agents = FrameSplats::with_agents(&resident, &pool, &frame_agents);
             let traced = renderer
                 .trace(with_agents, &lidar, ReturnMode::Dual)
                 .unwrap();

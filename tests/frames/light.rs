@@ -3,7 +3,8 @@
 
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::{
-    Agent, AssetPool, GpuScene, Image, RenderError, RenderOptions, Renderer, Scene, reference,
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, RenderError, RenderOptions, Renderer,
+    ResidentSplats, reference,
 };
 use decouplegs::scene::light::{LightFrom, LitShare, SHADING_LIGHTS, Shading, bake_shadows};
 use decouplegs::scene::{
@@ -152,7 +153,7 @@ impl Case {
 /// A world and its assets on the device.
 struct Stage {
     renderer: Renderer,
-    world: GpuScene,
+    world: ResidentSplats,
     pool: AssetPool,
     assets: Vec<decouplegs::render::AssetId>,
 }
@@ -189,10 +190,11 @@ impl Stage {
 
     /// Draws; returns how many codebooks were relit for it.
     fn relit(&mut self, agents: &[Agent], shadows: &[GroundShadow], cameras: &[Camera]) -> usize {
-        let scene = Scene {
-            shadows,
-            ..Scene::with_agents(&self.world, &self.pool, agents)
+        let agents = FrameAgents {
+            shadows: shadows.to_vec(),
+            ..FrameAgents::new(agents)
         };
+        let scene = FrameSplats::with_agents(&self.world, &self.pool, &agents);
         self.renderer.render(scene, cameras).unwrap().relit
     }
 }
@@ -394,14 +396,15 @@ fn light_and_shadows_that_are_none_are_refused() {
     let case = Case::new();
     let mut stage = Stage::new(&gpu, &case);
     let mut agents = case.agents(&stage.assets);
-    let nowhere = [GroundShadow {
+    let nowhere = GroundShadow {
         strength: f64::NAN,
         ..case.shadows[0]
-    }];
-    let scene = Scene {
-        shadows: &nowhere,
-        ..Scene::from(&stage.world)
     };
+    let nowhere = FrameAgents {
+        shadows: vec![nowhere],
+        ..FrameAgents::default()
+    };
+    let scene = FrameSplats::with_agents(&stage.world, &stage.pool, &nowhere);
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
     assert!(
         matches!(error, RenderError::Shadow { index: 0, .. })
@@ -411,7 +414,8 @@ fn light_and_shadows_that_are_none_are_refused() {
     let mut dark = some_transfer(1);
     dark.offset[3][1] = f32::INFINITY;
     agents[2].relight = Some(dark);
-    let scene = Scene::with_agents(&stage.world, &stage.pool, &agents);
+    let frame_agents = FrameAgents::new(&agents[..]);
+    let scene = FrameSplats::with_agents(&stage.world, &stage.pool, &frame_agents);
     let error = stage.renderer.render(scene, &case.cameras).unwrap_err();
     assert!(
         matches!(error, RenderError::AgentLight { instance: 3 }),

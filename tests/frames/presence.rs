@@ -1,6 +1,5 @@
 //! Agents that are in a scene at some times alone.
 
-use decouplegs::LiveScene;
 use decouplegs::asset::SceneFile;
 use decouplegs::render::Renderer;
 use decouplegs::scene::Presence;
@@ -29,14 +28,18 @@ fn absent_agents_are_in_no_image_and_throw_no_shadow() {
     let at = |file: &SceneFile, time_s: f64| {
         let loaded = file.load(site.folder.path(), time_s).unwrap();
         let mut renderer = Renderer::new(&gpu, options());
-        let live = LiveScene::new(&renderer, &loaded).unwrap();
-        let moment = live.at(time_s);
-        renderer
-            .render(live.with(&moment), &cameras(&loaded))
+        let session = Session::on(&gpu, &options().into());
+        let scene = session.add_scene(&loaded).unwrap();
+        let mut world = World::new(&scene);
+        world.set_time(time_s);
+        let agents = world.frame_agents();
+        let views = cameras(&loaded);
+        scene
+            .lend(&agents, |splats| renderer.render(splats, &views))
             .unwrap();
         (
             renderer.read_images().unwrap(),
-            moment.shadows.len(),
+            agents.shadows.len(),
             loaded.baked(time_s).instance_from_splat,
         )
     };

@@ -5,7 +5,9 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use decouplegs::render::metrics::Difference;
-use decouplegs::render::{Agent, AssetPool, Image, RenderOptions, Renderer, Scene, reference};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, RenderOptions, Renderer, reference,
+};
 use decouplegs::scene::{
     AgentPlacement, Camera, Intrinsics, Motion, Pose, Rules, ShFrame, Shutter, ShutterDirection,
     SplatScene,
@@ -179,7 +181,8 @@ fn draw_cars(
             ..Agent::new(asset, pose, instance)
         })
         .collect();
-    let scene = Scene::with_agents(&resident, &pool, &agents);
+    let frame_agents = FrameAgents::new(&agents[..]);
+    let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
     renderer.render(scene, cameras).unwrap();
     renderer.read_images().unwrap()
 }

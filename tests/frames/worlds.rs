@@ -3,16 +3,15 @@
 
 use std::sync::Arc;
 
-use decouplegs::LiveScene;
 use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::{
-    Agent, AssetPool, ColorFormat, Image, ImageBytes, Outputs, Plane, RenderError, RenderOptions,
-    Renderer, Scene,
+    Agent, AssetPool, ColorFormat, FrameAgents, FrameSplats, ImageBytes, Outputs, Plane,
+    RenderError, RenderOptions, Renderer,
 };
-use decouplegs::scene::{Camera, Pose, Presence, Rules, ShFrame, Trajectory};
+use decouplegs::scene::{Camera, GroundShadow, Pose, Presence, Rules, ShFrame, Trajectory};
 use decouplegs::session::{
-    HostImages, Session, SessionError, SessionOptions, SessionScene, World, WorldView,
+    HostImages, Scene, Session, SessionError, SessionOptions, World, WorldView,
 };
 use glam::DVec3;
 
@@ -31,11 +30,6 @@ pub fn cameras(shift: f64) -> Vec<Camera> {
             (97, 64),
         ),
     ]
-}
-
-fn drawn(renderer: &mut Renderer, scene: Scene<'_>, cameras: &[Camera]) -> Vec<Image> {
-    renderer.render(scene, cameras).unwrap();
-    renderer.read_images().unwrap()
 }
 
 #[test]
@@ -75,47 +69,32 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
         shadow(DVec3::new(9.5, 0.0, -0.5), 1.3, 0.7),
         shadow(DVec3::new(11.0, -2.0, 0.2), 0.0, 1.0),
     ];
-    let shadow_cameras = [0b0011, 0b1100, 0b1100];
     let all: Vec<Camera> = cameras(0.0).into_iter().chain(cameras(1.0)).collect();
+    let mut draw = |agents: &FrameAgents, cameras: &[Camera]| {
+        let splats = FrameSplats::with_agents(&world, &pool, agents);
+        renderer.render(splats, cameras).unwrap();
+        renderer.read_images().unwrap()
+    };
 
-    let together = Scene {
-        shadows: &shadows,
-        shadow_cameras: Some(&shadow_cameras),
-        ..Scene::with_agents(&world, &pool, &agents)
+    let together = FrameAgents {
+        agents: agents.to_vec(),
+        shadows: shadows.to_vec(),
+        shadow_cameras: vec![0b0011, 0b1100, 0b1100],
     };
-    let together_drawn = drawn(&mut renderer, together, &all);
-    let (first, second) = (
-        Scene::with_agents(&world, &pool, &agents[..2]),
-        Scene::with_agents(&world, &pool, &agents[2..]),
-    );
-    let everywhere = |agents: &[Agent]| -> Vec<Agent> {
-        agents
-            .iter()
-            .map(|agent| Agent {
-                cameras: u32::MAX,
-                ..*agent
-            })
-            .collect()
+    let together_drawn = draw(&together, &all);
+    let unmasked = |agent: &Agent| Agent {
+        cameras: u32::MAX,
+        ..*agent
     };
-    let (cars, other_cars) = (everywhere(&agents[..2]), everywhere(&agents[2..]));
-    let alone = drawn(
-        &mut renderer,
-        Scene {
-            shadows: &shadows[..1],
-            agents: Some((&pool, &cars)),
-            ..first
-        },
-        &all[..2],
-    );
-    let other = drawn(
-        &mut renderer,
-        Scene {
-            shadows: &shadows[1..],
-            agents: Some((&pool, &other_cars)),
-            ..second
-        },
-        &all[2..],
-    );
+    let everywhere = |agents: &[Agent], shadows: &[GroundShadow]| FrameAgents {
+        agents: agents.iter().map(unmasked).collect(),
+        shadows: shadows.to_vec(),
+        shadow_cameras: Vec::new(),
+    };
+    let first = everywhere(&agents[..2], &shadows[..1]);
+    let second = everywhere(&agents[2..], &shadows[1..]);
+    let alone = draw(&first, &all[..2]);
+    let other = draw(&second, &all[2..]);
     assert!(
         together_drawn[..2] == alone[..],
         "the first world's cameras see the first world"
@@ -125,26 +104,23 @@ fn cameras_see_the_agents_and_shadows_of_their_own_world() {
         "the second world's see the second"
     );
 
+    let mut added = FrameAgents::default();
+    added.add_for_cameras(first, 0b0011);
+    added.add_for_cameras(second, 0b1100);
+    assert_eq!(added, together);
+
     // And it can fail: without masks all worlds see all agents.
-    let everything = everywhere(&agents);
-    let mixed = drawn(
-        &mut renderer,
-        Scene {
-            shadows: &shadows,
-            ..Scene::with_agents(&world, &pool, &everything)
-        },
-        &all,
-    );
+    let mixed = draw(&everywhere(&agents, &shadows), &all);
     assert!(
         (0..4).all(|camera| mixed[camera] != together_drawn[camera]),
         "every camera would see another world's cars or shadows"
     );
-    let unmasked_shadows = Scene {
-        shadow_cameras: None,
+    let unmasked_shadows = FrameAgents {
+        shadow_cameras: Vec::new(),
         ..together
     };
     assert!(
-        drawn(&mut renderer, unmasked_shadows, &all) != together_drawn,
+        draw(&unmasked_shadows, &all) != together_drawn,
         "shadows are masked by themselves"
     );
 }
@@ -186,7 +162,7 @@ pub fn assert_silent(session: &Session) {
 }
 
 /// World `index` over `scene`: its cars stand somewhere else in each.
-pub fn world(scene: &Arc<SessionScene>, index: usize) -> World {
+pub fn world(scene: &Arc<Scene>, index: usize) -> World {
     let mut world = World::new(scene);
     let x = 6.0 + 0.25 * index as f64;
     world
@@ -524,8 +500,9 @@ fn a_session_draws_each_scene_by_its_own_rules() {
                 ..RenderOptions::default()
             },
         );
-        let live = LiveScene::new(&renderer, loaded).unwrap();
-        renderer.render(live.with(&live.at(0.0)), &cameras).unwrap();
+        worlds[view]
+            .lend(|splats| renderer.render(splats, &cameras))
+            .unwrap();
         let mut bytes = ImageBytes::default();
         renderer.read_bytes(&mut bytes).unwrap();
         for camera in 0..cameras.len() {

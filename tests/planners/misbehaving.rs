@@ -27,7 +27,7 @@ fn plan(planner: &mut External, step: u32) -> Result<(), PlannerError> {
 
 /// Error message about a planner that drives well at first and then misbehaves as `way` says. It is
 /// begun anew after it.
-fn said_of(way: &str, patience: Timeouts) -> String {
+fn said_of(way: &str, timeouts: Timeouts) -> String {
     let mut planner = opened("misbehaving.py", &[way], PATIENT);
     assert_eq!(
         (planner.name().as_str(), planner.sees().cameras),
@@ -35,7 +35,7 @@ fn said_of(way: &str, patience: Timeouts) -> String {
     );
     planner.begin(&briefing()).unwrap();
     plan(&mut planner, 0).unwrap();
-    planner = planner.with_patience(patience);
+    planner = planner.with_timeouts(timeouts);
     let begin = Instant::now();
     let said = plan(&mut planner, 1).expect_err(way).to_string();
     assert!(
@@ -47,7 +47,7 @@ fn said_of(way: &str, patience: Timeouts) -> String {
         said.starts_with("the external planner ") && said.len() < 1000 && !said.contains('\u{1b}'),
         "{said}"
     );
-    planner = planner.with_patience(PATIENT);
+    planner = planner.with_timeouts(PATIENT);
     planner
         .begin(&briefing())
         .unwrap_or_else(|error| panic!("{way}: does not begin again: {error}"));
@@ -55,8 +55,8 @@ fn said_of(way: &str, patience: Timeouts) -> String {
     said
 }
 
-fn assert_says(way: &str, patience: Timeouts, parts: &[&str]) {
-    let said = said_of(way, patience);
+fn assert_says(way: &str, timeouts: Timeouts, parts: &[&str]) {
+    let said = said_of(way, timeouts);
     for part in parts {
         assert!(said.contains(part), "{way}: {said:?} does not say {part:?}");
     }
@@ -200,7 +200,7 @@ fn who_interrupts_is_refused_at_the_next_word() {
 fn who_does_not_read_does_not_hold_us_up() {
     let mut planner = opened("misbehaving.py", &["deaf"], PATIENT);
     planner.begin(&briefing()).unwrap();
-    planner = planner.with_patience(SHORT);
+    planner = planner.with_timeouts(SHORT);
     let camera = &cameras()[0];
     let rgba = vec![0; 16 << 20];
     let begin = Instant::now();
@@ -217,8 +217,8 @@ fn who_does_not_read_does_not_hold_us_up() {
 
 #[test]
 fn who_cannot_be_started_or_introduces_himself_badly_is_refused_at_once() {
-    let refused = |attachment, patience| {
-        External::open(attachment, patience)
+    let refused = |attachment, timeouts| {
+        External::open(attachment, timeouts)
             .unwrap_err()
             .to_string()
     };

@@ -29,8 +29,8 @@ pub fn script(name: &str, arguments: &[&str]) -> Transport {
 }
 
 /// The planner of a script that says hello as it should.
-pub fn opened(name: &str, arguments: &[&str], patience: Timeouts) -> External {
-    External::open(script(name, arguments), patience).expect("python3 runs the script")
+pub fn opened(name: &str, arguments: &[&str], timeouts: Timeouts) -> External {
+    External::open(script(name, arguments), timeouts).expect("python3 runs the script")
 }
 
 pub fn cameras() -> Vec<RigCamera> {

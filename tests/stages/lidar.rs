@@ -7,7 +7,7 @@ use decouplegs::render::layout::{
     BeamEchoes, BeamState, COARSE_HEIGHT_PX, COARSE_WIDTH_PX, RequiredCounts, View,
 };
 use decouplegs::render::lidar::{SectorPlan, Sectors};
-use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
+use decouplegs::render::reference::lidar::{LidarSplats64, SplatGroup};
 use decouplegs::render::stages::{
     LidarBuffers, LidarPass, LidarRoom, LidarVariant, ListLidar, ProjectLidar, Records, Scan,
     SectorBuffers, TileSort, TraceLidar,
@@ -19,7 +19,7 @@ use decouplegs::render::twins::lidar::{
 use decouplegs::render::twins::projection::axes_of;
 use decouplegs::render::twins::sh::Stored;
 use decouplegs::render::twins::stored_splat::load_shape;
-use decouplegs::render::{GpuScene, Storage};
+use decouplegs::render::{ResidentSplats, Storage};
 use decouplegs::scene::lidar::Beam;
 use decouplegs::scene::rules::LIDAR_DILATION_RAD;
 use decouplegs::scene::{Lidar, Motion, Pose, Rules, SplatScene};
@@ -69,7 +69,7 @@ impl Listed {
             Vec::new(),
         );
         let view = View::new(&cut.cameras, world.origin, 1e3).unwrap();
-        let scene = GpuScene::upload(gpu, world, storage).unwrap();
+        let scene = ResidentSplats::upload(gpu, world, storage).unwrap();
         let mut sectors = SectorBuffers::new(gpu).unwrap();
         sectors.set(gpu, &view, &cut.tables).unwrap();
         let capacity = Capacity {
@@ -475,7 +475,7 @@ fn beams_meet_their_lists_as_the_twin_does() {
 /// Asserts that every splat of `world` that adds to a beam by definition is in the list of the
 /// beam's coarse tile, with cells around the beam's; returns pairs tested and pairs that add.
 fn check_lists(what: &str, listed: &Listed, world: &SplatScene, lidar: &Lidar) -> [usize; 2] {
-    let truth = LidarScene64 {
+    let truth = LidarSplats64 {
         groups: vec![SplatGroup {
             splats: &world.splats,
             instances: &[],

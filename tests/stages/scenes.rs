@@ -16,7 +16,7 @@ use decouplegs::render::twins::projection::{Variant, axes_of, from_camera_m, to_
 use decouplegs::render::twins::record::{load_color, load_footprint};
 use decouplegs::render::twins::stored_splat::load_shape;
 use decouplegs::render::twins::{self, sh::Stored};
-use decouplegs::render::{GpuScene, Storage};
+use decouplegs::render::{ResidentSplats, Storage};
 use decouplegs::scene::lens::{FTheta, FThetaReference, Fisheye, OpenCv};
 use decouplegs::scene::{Camera, Intrinsics, Lens, Motion, Pose, Rules, SplatScene};
 use glam::{DQuat, DVec3, Mat3, Vec3};
@@ -179,7 +179,7 @@ pub fn lens_rig() -> Vec<Camera> {
 
 /// A world on the device, its bytes as the kernels read them, and the cameras.
 pub struct Scene {
-    pub resident: GpuScene,
+    pub resident: ResidentSplats,
     pub view: View,
     pub camera_buffer: Buffer<CameraRecord>,
     pub lens_buffer: Buffer<LensRecord>,
@@ -205,7 +205,7 @@ impl Scene {
         cameras: &[Camera],
         storage: Storage,
     ) -> Self {
-        let resident = GpuScene::upload(gpu, world, storage).unwrap();
+        let resident = ResidentSplats::upload(gpu, world, storage).unwrap();
         let shapes = gpu.read(&resident.shapes).unwrap();
         let rotations = gpu.read(&resident.rotations).unwrap();
         let (shapes, rotations) = (0..resident.splats)

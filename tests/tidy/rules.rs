@@ -12,7 +12,8 @@ use super::claims::{claims_name_their_tests, named_tests_exist};
 use super::modules::{every_file_is_a_module_of_another, modules_do_not_use_each_other};
 use super::parameters::{stages_take_few_values, tuples_hide_no_parameters};
 use super::words::{
-    comments_are_narrow, docs_name_their_subject, docs_say_something, no_retired_words,
+    a_scene_is_the_sessions, comments_are_narrow, docs_name_their_subject, docs_say_something,
+    no_retired_words,
 };
 
 /// Every rule.
@@ -262,6 +263,24 @@ pub const RULES: &[Rule] = &[
         broken_by: &[
             ("engine/a/src/b.rs", "use crate::c::E;"),
             ("engine/a/src/i.rs", "use crate::{j::{self, k::L}, f::M};"),
+        ],
+    },
+    Rule {
+        name: "on the way of a frame, one public type is called Scene: that of engine/session",
+        check: a_scene_is_the_sessions,
+        kept_by: &[
+            ("engine/session/src/scene.rs", "pub struct Scene {}"),
+            ("engine/asset/src/a.rs", "pub struct LoadedScene {}"),
+            (
+                "engine/render/src/a.rs",
+                "/// A scene.\npub struct FrameSplats<'a> {}\nstruct Scene {}",
+            ),
+            ("engine/render/tests/a.rs", "pub struct Scene {}"),
+        ],
+        broken_by: &[
+            ("engine/render/src/a.rs", "pub struct Scene<'a> {}"),
+            ("engine/session/src/a.rs", "pub struct OtherScene {}"),
+            ("tools/render.rs", "pub enum SceneState { A }"),
         ],
     },
     Rule {

@@ -3,7 +3,7 @@
 
 use super::Finding;
 use super::checks::{lines_with, words_at};
-use super::tree::Tree;
+use super::tree::{SourceFile, Tree};
 
 /// Words that a doc comment must not begin with: what follows them is a riddle away from the item,
 /// a part of a sentence, or leans on the line above.
@@ -194,7 +194,12 @@ const RETIRED_WORDS: &[(&str, &str)] = &[
     (concat!("every", "body"), "all vehicles"),
     (concat!("made ", "up"), "synthetic, generated"),
     (concat!("looked ", "at"), "examined"),
-    (concat!("resident", "world"), "GpuScene"),
+    (concat!("resident", "world"), "ResidentSplats"),
+    (concat!("gpu", "scene"), "ResidentSplats"),
+    (concat!("gpu_", "scene"), "background"),
+    (concat!("live", "scene"), "Scene"),
+    (concat!("session", "scene"), "Scene"),
+    (concat!("scene", "snapshot"), "FrameAgents"),
     (concat!("frame", "slot"), "FrameInFlight"),
     (concat!("yard", "stick"), "QualityMeter"),
     (concat!("show", "case"), "ExampleCrops"),
@@ -246,6 +251,46 @@ pub fn no_retired_words(tree: &Tree) -> Vec<Finding> {
                 what: format!("{word:?}: say {better:?}"),
             }));
         }
+    }
+    findings
+}
+
+/// Public types with `Scene` in their names, by folder; none listed: any. A scene on the device is
+/// the `Scene` of `session`, which Python and C show too. The others name files and what is read
+/// from them, the data of a scene, and arguments that name a scene.
+const MAY_BE_SCENES: &[(&str, &[&str])] = &[
+    ("engine/session/src/", &["Scene"]),
+    ("engine/scene/src/", &["SplatScene"]),
+    ("engine/asset/src/", &[]),
+    ("engine/synth/src/roads/", &["RoadsScene"]),
+    ("tools/python/src/", &["Scene"]),
+    ("tools/c/src/", &["DgsScene", "HeldScene"]),
+    ("tools/cli/src/", &["SceneArguments", "SceneOptions"]),
+    ("tools/server/", &["SceneMetadata", "SceneRegistry"]),
+    ("tools/view/", &["SceneCourse"]),
+];
+
+/// Finds public types that are called a scene and are not one of [`MAY_BE_SCENES`].
+pub fn a_scene_is_the_sessions(tree: &Tree) -> Vec<Finding> {
+    let kinds = ["struct ", "enum ", "trait ", "type ", "union "];
+    let is_product = |file: &&SourceFile| {
+        file.is_rust() && !file.path.starts_with("tests/") && !file.path.contains("/tests/")
+    };
+    let mut findings = Vec::new();
+    for file in tree.files.iter().filter(is_product) {
+        let is_allowed = |name: &str| {
+            let mut folders = MAY_BE_SCENES.iter();
+            folders.any(|(folder, names)| {
+                file.path.starts_with(folder) && (names.is_empty() || names.contains(&name))
+            })
+        };
+        findings.extend(lines_with(file, &file.code, |line| {
+            let item = line.trim_start().strip_prefix("pub ")?;
+            let named = kinds.iter().find_map(|kind| item.strip_prefix(kind))?;
+            let name = named.split(|c: char| !c.is_alphanumeric()).next()?;
+            (name.contains("Scene") && !is_allowed(name))
+                .then(|| format!("{name}: say what it is; the Scene is session's"))
+        }));
     }
     findings
 }

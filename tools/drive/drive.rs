@@ -318,7 +318,7 @@ impl Arguments {
         self.step.or(self.planner.step_s())
     }
 
-    fn patience(&self) -> Timeouts {
+    fn timeouts(&self) -> Timeouts {
         Timeouts {
             answer: Duration::from_secs_f64(self.planner_timeout),
             ..Timeouts::default()
@@ -326,13 +326,13 @@ impl Arguments {
     }
 
     fn planner(&self) -> Result<Box<dyn Planner>> {
-        self.planner.open(self.patience(), &self.driver)
+        self.planner.open(self.timeouts(), &self.driver)
     }
 
     /// The program that drives agents, if one is named.
     fn agents(&self) -> Result<Option<Box<dyn AgentDriver>>> {
         let choice = self.agents.as_ref();
-        let opened = choice.map(|choice| choice.open(self.patience()));
+        let opened = choice.map(|choice| choice.open(self.timeouts()));
         Ok(opened.transpose()?)
     }
 

@@ -21,7 +21,7 @@ use decouplegs::logs::read_episode_log;
 use decouplegs::planner::{Cameras, PlannerChoice, Timeouts};
 use decouplegs::scene::episode::{DrawnBy, Episode};
 use decouplegs::scene::{Camera, Rig, RigCamera, RigLidar, RoadUser, Sensor};
-use decouplegs::session::SessionScene;
+use decouplegs::session::Scene;
 use decouplegs_cli::png_bytes;
 
 use self::sensed::{LabeledImage, Renderers, Sensed};
@@ -169,7 +169,7 @@ fn write_plans(arguments: &Arguments, episode: &Episode, base: &Path) -> Result<
 ///
 /// # Errors
 /// Returns an error where vehicles move otherwise than in the log.
-fn moments_of(episode: &Episode, site: &Arc<Site>, scene: &Arc<SessionScene>) -> Result<Moments> {
+fn moments_of(episode: &Episode, site: &Arc<Site>, scene: &Arc<Scene>) -> Result<Moments> {
     let moments = Moments::from_episode(episode, site, scene)?;
     if let Some(time_s) = moments.departs_s() {
         bail!(

@@ -17,10 +17,10 @@ use decouplegs::asset::{
 };
 use decouplegs::episode::chosen_lidars;
 use decouplegs::render::rendered_image::ImageFileFormat;
-use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer, Scene};
+use decouplegs::render::{FrameSplats, LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::lidar::{PointFrame, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarSweep, Motion, Rig, RigLidar, Rules};
-use decouplegs::session::LiveScene;
+use decouplegs::session::{Session, World};
 use decouplegs_recording::point_cloud::{McapSweeps, PointFormat, write_points};
 use glam::{DQuat, DVec3};
 use serde_json::json;
@@ -170,7 +170,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut stored = RenderOptions::default();
     arguments.background.apply_to(&mut stored);
     let renderer = Renderer::new(&gpu, stored);
-    let live = LiveScene::new(&renderer, &loaded)?;
+    let session = Session::on(&gpu, &stored.into());
+    let mut world = World::new(&session.add_scene(&loaded)?);
+    world.set_time(start_s);
     let rules = loaded.splat_scene.rules;
     let options = LidarOptions {
         rules: Rules {
@@ -183,13 +185,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .with_context(|| format!("{} cannot be made", arguments.out.display()))?;
     let mut lidars = LidarRenderer::new(&gpu, options);
     if let Some(file) = &arguments.compare {
-        compare(
-            file,
-            arguments,
-            &loaded,
-            live.with(&live.at(start_s)),
-            &mut lidars,
-        )?;
+        world.lend(|splats| compare(file, arguments, &loaded, splats, &mut lidars))?;
         return check_validation(&gpu);
     }
     let mounted = mounted(arguments, &loaded.rig)?;
@@ -199,7 +195,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut writer = SweepWriter::new(arguments, &mounted.name, mode, start_s)?;
     let mut previews = arguments
         .previews
-        .then(|| previews::Previews::new(renderer, &live, &loaded));
+        .then(|| previews::Previews::new(renderer, world.clone(), &loaded));
     let mut gpu_ms = Vec::new();
     let bar = progress::bar("sweeps", arguments.sweeps as usize);
     for index in 0..arguments.sweeps {
@@ -208,7 +204,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let end = loaded.ego.at(time_s + model.sweep_s);
         let motion = Motion::between(&start, &end, model.sweep_s);
         let lidar = mounted.sweep_from(&start, &motion);
-        let traced = lidars.trace(live.with(&live.at(time_s)), &lidar, mode)?;
+        world.set_time(time_s);
+        let traced = world.lend(|splats| lidars.trace(splats, &lidar, mode))?;
         let sweep = traced.returns(&ReturnOptions {
             mode,
             opacity_min: arguments.opacity_min,
@@ -236,21 +233,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     check_validation(&gpu)
 }
 
-/// Compares the scan in `file` with the same beams through `scene`.
-fn compare<'a>(
+/// Compares the scan in `file` with the same beams through `splats`.
+fn compare(
     file: &ScanFile,
     arguments: &Arguments,
     loaded: &LoadedScene,
-    scene: impl Into<Scene<'a>>,
+    splats: FrameSplats<'_>,
     lidars: &mut LidarRenderer,
 ) -> Result<()> {
     let (scan, pose) = file.read(loaded)?;
-    let scene = scene.into();
-    let mut comparison = ScanComparison::new(lidars, scene, &scan, pose)?;
+    let mut comparison = ScanComparison::new(lidars, splats, &scan, pose)?;
     if arguments.sensor.is_some() || loaded.rig.lidars().next().is_some() {
         let sensor = mounted(arguments, &loaded.rig)?;
         let given = (sensor.model.as_ref(), &scan);
-        comparison = comparison.with_empty_beams(lidars, scene, given, pose)?;
+        comparison = comparison.with_empty_beams(lidars, splats, given, pose)?;
     }
     let path = |ending: &str| {
         arguments

@@ -8,7 +8,7 @@ use decouplegs::episode::{Appearance, Site};
 use decouplegs::gpu::Gpu;
 use decouplegs::scene::Lane;
 use decouplegs::scene::scenario::Place;
-use decouplegs::session::{Session, SessionError, SessionOptions, SessionScene};
+use decouplegs::session::{Scene, Session, SessionError, SessionOptions};
 
 use crate::arguments::warn;
 use crate::background::BackgroundArguments;
@@ -17,14 +17,14 @@ use crate::background::BackgroundArguments;
 const KEPT_MAX: usize = 6;
 
 /// A place, and its scene on each device that draws it.
-pub struct Ready {
+pub struct ReadySite {
     pub site: Arc<Site>,
     /// Scenes by device; none where nothing is drawn yet.
-    scenes: Vec<Mutex<Option<Arc<SessionScene>>>>,
+    scenes: Vec<Mutex<Option<Arc<Scene>>>>,
 }
 
 /// A place that is there, or is being made by one thread while others wait for it.
-type Making = Arc<Mutex<Option<Arc<Ready>>>>;
+type Making = Arc<Mutex<Option<Arc<ReadySite>>>>;
 
 /// Places by what describes them.
 pub struct Sites {
@@ -58,7 +58,7 @@ impl Sites {
     }
 
     /// The scene of `ready` on the device at `position`, copied to it unless it is there already.
-    pub fn scene(&self, ready: &Ready, position: usize) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn scene(&self, ready: &ReadySite, position: usize) -> Result<Arc<Scene>, SessionError> {
         let mut scene = ready.scenes[position]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
@@ -71,7 +71,7 @@ impl Sites {
 
     /// `place`, its files relative to `directory`. Who asks for a place that another thread makes
     /// waits for it, and nobody else does.
-    pub fn get(&self, place: &Place, directory: &Path) -> Result<Arc<Ready>> {
+    pub fn get(&self, place: &Place, directory: &Path) -> Result<Arc<ReadySite>> {
         let making = self.making(place, directory);
         let mut ready = making.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(ready) = &*ready {
@@ -98,14 +98,14 @@ impl Sites {
         making
     }
 
-    fn make(&self, place: &Place, directory: &Path) -> Result<Ready> {
+    fn make(&self, place: &Place, directory: &Path) -> Result<ReadySite> {
         let appearance = (!self.sessions.is_empty()).then_some(&self.appearance);
         let site = Site::open(place, directory, appearance)
             .context("the place of the scenario is not usable")?;
         if let Some(warning) = site.ground_warning() {
             warn(&warning);
         }
-        Ok(Ready {
+        Ok(ReadySite {
             site: Arc::new(site),
             scenes: self.sessions.iter().map(|_| Mutex::default()).collect(),
         })

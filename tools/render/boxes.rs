@@ -12,11 +12,11 @@ use serde_json::{Value, json};
 
 use super::coverage::Counter;
 use super::labels::Labels;
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 
 /// Bounding boxes of the images so far.
 pub struct BoxList<'a> {
-    scene: &'a Scene,
+    input: &'a DrawInput,
     /// Pose and size of the box of each agent, in the order of the scene file; `None` for those
     /// that are absent.
     placed: Vec<Option<(Pose, [f64; 3])>>,
@@ -29,20 +29,20 @@ impl<'a> BoxList<'a> {
     /// Planes that boxes are made of.
     pub const PLANES: [Plane; 2] = [Plane::Instance, Plane::DepthMedian];
 
-    pub fn new(scene: &'a Scene, labels: &'a Labels, counter: Counter) -> Self {
-        let loaded = &scene.loaded;
+    pub fn new(input: &'a DrawInput, labels: &'a Labels, counter: Counter) -> Self {
+        let loaded = &input.loaded;
         let mut placed = vec![None; loaded.agent_labels.len()];
         for plain in &loaded.plain_agents {
             placed[usize::from(plain.instance) - 1] = Some((plain.pose, plain.dims_m));
         }
         for agent in &loaded.agents {
-            let pose = agent.pose_at(scene.time_s);
+            let pose = agent.pose_at(input.time_s);
             let dims_m = loaded.assets[agent.asset].dims_m;
             placed[usize::from(agent.instance) - 1] = pose.map(|pose| (pose, dims_m));
         }
         let in_f64 = |(pose, dims_m): (Pose, [f32; 3])| (pose, dims_m.map(f64::from));
         Self {
-            scene,
+            input,
             placed: placed.into_iter().map(|one| one.map(in_f64)).collect(),
             labels,
             counter,
@@ -52,7 +52,7 @@ impl<'a> BoxList<'a> {
 
     /// Adds the agents that are in `image`, or would be if nothing hid them.
     pub fn add(&mut self, camera: &Camera, image: &Image) -> Result<()> {
-        let loaded = &self.scene.loaded;
+        let loaded = &self.input.loaded;
         let instances = image.instance().context("the image has no instances")?;
         let scene_m = image.depth_median();
         let scene_m = scene_m.context("the image has no median depth")?;
@@ -67,7 +67,7 @@ impl<'a> BoxList<'a> {
             if found.is_none() && seen.is_none() {
                 continue;
             }
-            let agent = found.and_then(|_| alone(self.scene, instance as u16));
+            let agent = found.and_then(|_| alone(self.input, instance as u16));
             let coverage = match &agent {
                 Some(agent) => {
                     let agent = (agent, instance as u16);
@@ -108,7 +108,7 @@ impl<'a> BoxList<'a> {
 
     pub fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(&json!({
-            "time_s": self.scene.time_s,
+            "time_s": self.input.time_s,
             "images": self.images,
         }))?;
         Ok(write_atomically(path, |file| {
@@ -118,8 +118,8 @@ impl<'a> BoxList<'a> {
 }
 
 /// The world of one agent alone; `None` where it is absent.
-fn alone(scene: &Scene, instance: u16) -> Option<SplatScene> {
-    let loaded = &scene.loaded;
+fn alone(input: &DrawInput, instance: u16) -> Option<SplatScene> {
+    let loaded = &input.loaded;
     let mut splat_scene = SplatScene {
         origin: loaded.splat_scene.origin,
         rules: loaded.splat_scene.rules,
@@ -130,7 +130,7 @@ fn alone(scene: &Scene, instance: u16) -> Option<SplatScene> {
         .iter()
         .find(|agent| agent.instance == instance);
     if let Some(agent) = coded {
-        let pose = agent.pose_at(scene.time_s)?;
+        let pose = agent.pose_at(input.time_s)?;
         let splats = loaded.assets[agent.asset].decoded(0);
         splat_scene.bake_instance(&splats, &pose, agent.sh_frame, instance);
     } else {

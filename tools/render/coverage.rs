@@ -6,7 +6,7 @@ use decouplegs_render::reference::geometry;
 use decouplegs_render::{Image, Outputs, Plane, RenderOptions, Renderer};
 use decouplegs_scene::{Camera, SplatScene};
 
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 
 /// Width of the image in which an agent is counted, pixels, where the camera's is wider than that.
 const COUNTED_WIDTH_PX: u32 = 400;
@@ -53,9 +53,9 @@ pub enum Counter {
 
 impl Counter {
     /// A counter on `gpu`.
-    pub fn on(gpu: &Gpu, scene: &Scene) -> Self {
+    pub fn on(gpu: &Gpu, input: &DrawInput) -> Self {
         let options = RenderOptions {
-            rules: scene.rules(),
+            rules: input.rules(),
             outputs: Outputs {
                 planes: [Plane::DepthMedian].into(),
                 ..Outputs::default()

@@ -13,21 +13,21 @@ use decouplegs_scene::Camera;
 
 use super::{Arguments, ImageWriter};
 use crate::progress;
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 
 /// About the memory that the reference takes for each pixel.
 const REFERENCE_PIXEL_BYTES: u64 = 96;
 
 /// Renders every camera by the f64 definition, on the CPU.
 pub fn render_by_definition(
-    scene: &Scene,
+    input: &DrawInput,
     arguments: &Arguments,
     writer: &mut ImageWriter,
 ) -> Result<()> {
     let layer = arguments.layer.into();
-    let bar = progress::bar("reference", scene.cameras.len());
-    scene.loaded.check_baked()?;
-    let most = scene
+    let bar = progress::bar("reference", input.cameras.len());
+    input.loaded.check_baked()?;
+    let most = input
         .cameras
         .iter()
         .map(|camera| camera.intrinsics.pixels())
@@ -38,13 +38,13 @@ pub fn render_by_definition(
         &[most],
         REFERENCE_PIXEL_BYTES,
     )?;
-    let splat_scene = scene.loaded.baked_layer(scene.time_s, layer);
+    let splat_scene = input.loaded.baked_layer(input.time_s, layer);
     let world_at = |later_s: f64| match later_s {
         0.0 => Cow::Borrowed(&splat_scene),
-        _ => Cow::Owned(scene.loaded.baked_layer(scene.time_s + later_s, layer)),
+        _ => Cow::Owned(input.loaded.baked_layer(input.time_s + later_s, layer)),
     };
-    for camera in scene.cameras.chunks(1) {
-        let images = exposed(scene, arguments, camera, |later_s, cameras| {
+    for camera in input.cameras.chunks(1) {
+        let images = exposed(input, arguments, camera, |later_s, cameras| {
             let world_at = |row_s: f64| world_at(later_s + row_s);
             let render = |camera: &Camera| match arguments.along_rays {
                 true => render_rays(&world_at(0.0), camera, &RayRules::NUREC).to_image(),
@@ -68,7 +68,7 @@ pub fn render_by_definition(
 /// Images of `cameras`, blurred if `arguments` ask for it. `draw` gives sharp images at a time,
 /// seconds after that of the scene, of cameras that stand where they are then.
 pub fn exposed(
-    scene: &Scene,
+    input: &DrawInput,
     arguments: &Arguments,
     cameras: &[Camera],
     mut draw: impl FnMut(f64, &[Camera]) -> Result<Vec<Image>>,
@@ -78,7 +78,7 @@ pub fn exposed(
         return Ok(sharp);
     };
     let sum = |camera: &Camera| {
-        let photometry = scene.loaded.splat_scene.photometry_of(&camera.intrinsics);
+        let photometry = input.loaded.splat_scene.photometry_of(&camera.intrinsics);
         ExposureSum::new(camera.intrinsics.pixels() as usize, photometry.curve)
     };
     let mut sums: Vec<ExposureSum> = cameras.iter().map(sum).collect();

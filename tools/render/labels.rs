@@ -12,7 +12,7 @@ use decouplegs_render::rendered_image::Image;
 use decouplegs_render::{Plane, PlaneValues};
 use decouplegs_scene::Motion;
 
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 
 /// Class of the background, the first of all.
 const BACKGROUND: &str = "background";
@@ -72,8 +72,8 @@ pub struct Labels {
 }
 
 impl Labels {
-    pub fn new(scene: &Scene) -> Self {
-        let loaded = &scene.loaded;
+    pub fn new(input: &DrawInput) -> Self {
+        let loaded = &input.loaded;
         let classes_of = || {
             let labels = loaded.agent_labels.iter();
             labels.map(|label| label.class.as_deref().unwrap_or(UNKNOWN))
@@ -89,7 +89,7 @@ impl Labels {
             set(plain.instance, plain.motion);
         }
         for agent in &loaded.agents {
-            set(agent.instance, agent.trajectory.motion_at(scene.time_s));
+            set(agent.instance, agent.trajectory.motion_at(input.time_s));
         }
         Self {
             class_of: std::iter::once(0)

@@ -10,7 +10,7 @@
 //! | `scene_registry`, `read_ahead` | scenes that are served, their metadata, and the only one read ahead |
 //! | `render_queue`, `devices`, `placement` | requests, and the device that draws a scene |
 //! | `fair_queue` | the order of requests: each connection gets the same time of a device |
-//! | `render_worker`, `scene_renderer` | a thread that draws, and a scene on its device |
+//! | `render_worker`, `request_renderer` | a thread that draws, and what it draws a scene with |
 //! | [`conform`] | the client that judges any server of the contract |
 //! | [`running`] | the server as a whole, until it is stopped |
 //!
@@ -43,8 +43,8 @@ mod render_queue;
 mod render_request;
 mod render_worker;
 mod request_guard;
+mod request_renderer;
 pub mod running;
 mod scene_registry;
-mod scene_renderer;
 mod sensorsim;
 mod sweep_request;

@@ -23,7 +23,7 @@ use crate::image_memory::ImageMemory;
 use crate::log_limit::LogLimit;
 use crate::names::no_scene;
 use crate::options::Limits;
-use crate::scene_renderer::{Drawn, SceneRenderer, is_lost, status_of};
+use crate::request_renderer::{Drawn, RequestRenderer, is_lost, status_of};
 
 /// Unknown objects that are warned of, once each. Only hashes of their names are kept.
 const WARNED_MAX: usize = 1000;
@@ -75,7 +75,7 @@ pub struct RenderWorker {
     /// True if the device was lost.
     is_out: bool,
     session: Session,
-    scenes: Cache<SceneRenderer>,
+    scenes: Cache<RequestRenderer>,
     /// Jobs for scenes that are there, by connection.
     queue: FairQueue<Asked>,
     /// Jobs for scenes that are being read.
@@ -209,7 +209,7 @@ impl RenderWorker {
             return;
         }
         let staged = scene.map_err(Failed::from).and_then(|scene| {
-            let staged = caught("preparing the scene", || self.scene_renderer(id, &scene));
+            let staged = caught("preparing the scene", || self.request_renderer(id, &scene));
             release(scene);
             staged.map_err(Failed::from).flatten()
         });
@@ -289,7 +289,7 @@ impl RenderWorker {
     }
 
     /// Puts `scene` on the device, in the place of others if need be.
-    fn scene_renderer(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Failed> {
+    fn request_renderer(&mut self, id: &str, scene: &LoadedScene) -> Result<(), Failed> {
         let most = self.scenes.bytes_max();
         let estimate = scene.splat_scene.splats.len() as u64
             * bytes_a_splat(scene.splat_scene.splats.sh_degree);
@@ -297,8 +297,8 @@ impl RenderWorker {
             self.say_left(&other);
         }
         let (before, since) = (self.session.gpu().memory().total_bytes, Instant::now());
-        let scene_renderer =
-            SceneRenderer::new(&self.session, scene).map_err(|error| Failed::from(&error))?;
+        let request_renderer =
+            RequestRenderer::new(&self.session, scene).map_err(|error| Failed::from(&error))?;
         let bytes = self
             .session
             .gpu()
@@ -324,7 +324,7 @@ impl RenderWorker {
             seconds,
             "a scene is on the device"
         );
-        self.scenes.insert(id.to_owned(), scene_renderer, bytes);
+        self.scenes.insert(id.to_owned(), request_renderer, bytes);
         self.resize(id, bytes);
         Ok(())
     }
@@ -375,18 +375,18 @@ impl RenderWorker {
         &mut self,
         id: &str,
         images: usize,
-        work: impl FnOnce(&mut SceneRenderer) -> Result<(T, Drawn), SessionError>,
+        work: impl FnOnce(&mut RequestRenderer) -> Result<(T, Drawn), SessionError>,
     ) -> Result<T, Failed> {
         let (before, held) = (
             self.session.gpu().memory().total_bytes,
             self.scenes.bytes_of(id),
         );
-        let Some(scene_renderer) = self.scenes.get(id) else {
+        let Some(request_renderer) = self.scenes.get(id) else {
             let left = format!("scene {id:?} left the cache: ask again");
             return Err(Status::unavailable(left).into());
         };
         let since = Instant::now();
-        match caught("drawing", || work(scene_renderer)) {
+        match caught("drawing", || work(request_renderer)) {
             Ok(Ok((done, drawn))) => {
                 tracing::debug!(
                     scene = id,

@@ -16,7 +16,7 @@ use decouplegs_alpasim::egodriver::DriverOptions;
 use decouplegs_alpasim::planner_name::PlannerName;
 use decouplegs_cli::arguments::transfer_in;
 use decouplegs_cli::progress;
-use decouplegs_cli::scene_source::{Scene, SceneOptions};
+use decouplegs_cli::scene_source::{DrawInput, SceneOptions};
 
 use crate::demo::demo;
 use crate::played::Played;
@@ -70,8 +70,8 @@ struct NoOptions {
 /// Returns an error if the file is at fault, or the device has not the memory.
 pub fn dropped(path: &Path, name: &str, session: &Session) -> Result<Source> {
     let none = NoOptions::try_parse_from(["view"])?;
-    let scene = Scene::with_options(path, &none.options)?;
-    let course = SceneCourse::dropped(scene, name);
+    let input = DrawInput::with_options(path, &none.options)?;
+    let course = SceneCourse::dropped(input, name);
     Ok(Source::of_scene(course, name.to_owned(), session)?)
 }
 
@@ -176,10 +176,10 @@ impl SourceArguments {
             "{shown}: --planner, --base and --light are for scenarios and logs. 'decouplegs drive' generates scenarios in a scene"
         );
         let open = |path: &Path| -> Result<Source> {
-            let scene = Scene::with_options(path, &self.options)?;
-            scene.warn_of_shapes();
+            let input = DrawInput::with_options(path, &self.options)?;
+            input.warn_of_shapes();
             let copying = progress::spinner(format!("copying {} to the device", path.display()));
-            let course = SceneCourse::new(scene, path, self.map.as_deref())?;
+            let course = SceneCourse::new(input, path, self.map.as_deref())?;
             let source = Source::of_scene(course, path.display().to_string(), session)?;
             copying.finish_and_clear();
             Ok(source)

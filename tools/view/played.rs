@@ -11,7 +11,7 @@ use decouplegs::explain::explain;
 use decouplegs::logs::episode_log;
 use decouplegs::scene::episode::{Episode, EpisodeTick};
 use decouplegs::scene::{Camera, Plan, Rig};
-use decouplegs::session::SessionScene;
+use decouplegs::session::Scene;
 use glam::DVec2;
 use serde_json::{Value, json};
 
@@ -71,7 +71,7 @@ impl Played {
     pub fn logged(
         episode: Episode,
         site: Arc<Site>,
-        scene: &Arc<SessionScene>,
+        scene: &Arc<Scene>,
     ) -> Result<Self, EpisodeError> {
         let moments = Moments::from_episode(&episode, &site, scene)?;
         Ok(Self::new(Driven::Logged(Box::new(episode)), site, moments))
@@ -84,7 +84,7 @@ impl Played {
     pub fn live(
         episode: LiveEpisode,
         site: Arc<Site>,
-        scene: &Arc<SessionScene>,
+        scene: &Arc<Scene>,
     ) -> Result<Self, EpisodeError> {
         let scenario = &episode.episode().head.scenario;
         let moments = Moments::begin(scenario, &site, scene)?;

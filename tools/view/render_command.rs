@@ -36,9 +36,9 @@ pub fn render_command(
             "the scene was edited: save it, open the new file, and copy the command there".into(),
         );
     }
-    let scene = &course.scene;
-    let is_elsewhen = time_s != scene.loaded.ego.start_s();
-    if !scene.loaded.plain_agents.is_empty() && time_s != scene.time_s {
+    let input = &course.input;
+    let is_elsewhen = time_s != input.loaded.ego.start_s();
+    if !input.loaded.plain_agents.is_empty() && time_s != input.time_s {
         return Err("agents of plain splats stand still here, and 'render' puts them where they are at this time: go back to the first time".into());
     }
     let mut words = vec!["decouplegs".into(), "render".into(), course.typed_path()];
@@ -57,12 +57,12 @@ pub fn render_command(
             rotation: camera.world_from_camera.rotation.to_array(),
             lens: pinhole.view().lens,
         }),
-        CameraRequest::Named { .. } if scene.drives() => None,
+        CameraRequest::Named { .. } if input.drives() => None,
         CameraRequest::Named { .. } => FreeView::from_camera(camera),
     };
     if let Some(view) = &view {
         words.extend(["--view".into(), view.to_string()]);
-    } else if scene.drives() {
+    } else if input.drives() {
         words.extend(["--cameras".into(), camera.name.clone()]);
     } else {
         words.extend(options.cameras.iter().cloned());

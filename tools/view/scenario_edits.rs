@@ -11,7 +11,7 @@ use decouplegs::explain::explain;
 use decouplegs::logs::scenario_file::to_toml;
 use decouplegs::planner::{Cameras, Timeouts};
 use decouplegs::scene::{Scenario, Sensor};
-use decouplegs::session::{Session, SessionScene};
+use decouplegs::session::{Scene, Session};
 use decouplegs_alpasim::egodriver::DriverOptions;
 use decouplegs_alpasim::planner_name::PlannerName;
 use glam::DVec2;
@@ -36,7 +36,7 @@ pub struct Place {
     /// Lanes, traffic's assets, obstacles.
     pub site: Arc<Site>,
     /// The scene.
-    pub scene: Arc<SessionScene>,
+    pub scene: Arc<Scene>,
 }
 
 /// Planner of a live episode, and what it is shown if it is a driver of AlpaSim.
@@ -84,7 +84,7 @@ impl ScenarioEditor {
     }
 
     /// Scene of the place.
-    pub fn scene(&self) -> &Arc<SessionScene> {
+    pub fn scene(&self) -> &Arc<Scene> {
         &self.place.scene
     }
 

@@ -10,8 +10,8 @@ use decouplegs::asset::{
 };
 use decouplegs::explain::explain;
 use decouplegs::scene::{Pose, Trajectory};
-use decouplegs::session::{AgentInstance, Session, SessionScene};
-use decouplegs_cli::scene_source::{Scene, absolute};
+use decouplegs::session::{AgentInstance, Scene, Session};
+use decouplegs_cli::scene_source::{DrawInput, absolute};
 use glam::DVec3;
 use serde_json::Value;
 
@@ -26,7 +26,7 @@ const LANES_FILE: &str = "lanes.json";
 /// Scene, its lanes, and its edits.
 pub struct SceneCourse {
     /// Scene as it is on the device.
-    pub scene: Scene,
+    pub input: DrawInput,
     /// File that it was read from, as it is typed.
     typed_path: String,
     /// Agents that move, as they were edited.
@@ -61,11 +61,11 @@ pub struct Boxed {
 }
 
 impl SceneCourse {
-    /// `scene`, which was read from `path`, with the lanes of `map` or those beside it.
+    /// `input`, which was read from `path`, with the lanes of `map` or those beside it.
     ///
     /// # Errors
     /// Returns an error if a file is at fault.
-    pub fn new(scene: Scene, path: &Path, map: Option<&Path>) -> Result<Self> {
+    pub fn new(input: DrawInput, path: &Path, map: Option<&Path>) -> Result<Self> {
         let editor = is_scene_file(path)
             .then(|| Editor::open(path))
             .transpose()?;
@@ -73,11 +73,11 @@ impl SceneCourse {
         let map = map.or(Some(beside.as_path()).filter(|lanes| editor.is_some() && lanes.exists()));
         let lanes = map.map(|map| read_map(map).context("the lanes are not usable"));
         Ok(Self {
-            agents: scene.loaded.agents.clone(),
+            agents: input.loaded.agents.clone(),
             assets: (editor.as_ref()).map_or_else(AssetPlaces::default, |editor| {
                 AssetPlaces::for_file(editor.file())
             }),
-            scene,
+            input,
             typed_path: absolute(path),
             editor,
             lanes: lanes.transpose()?.map(Lanes::new),
@@ -85,12 +85,12 @@ impl SceneCourse {
         })
     }
 
-    /// `scene`, which was read from splats that a page sent as `name`: no folder is known.
-    pub fn dropped(scene: Scene, name: &str) -> Self {
+    /// `input`, which was read from splats that a page sent as `name`: no folder is known.
+    pub fn dropped(input: DrawInput, name: &str) -> Self {
         Self {
-            agents: scene.loaded.agents.clone(),
+            agents: input.loaded.agents.clone(),
             assets: AssetPlaces::default(),
-            scene,
+            input,
             // A command takes what begins with a dash for an option.
             typed_path: if name.starts_with('-') {
                 format!("./{name}")
@@ -115,7 +115,7 @@ impl SceneCourse {
 
     /// Width and height that the camera called `name` has by itself, pixels.
     pub fn own_size_px(&self, name: &str) -> Option<[u32; 2]> {
-        let mut cameras = self.scene.cameras.iter();
+        let mut cameras = self.input.cameras.iter();
         let camera = cameras.find(|camera| camera.name == name)?;
         Some([camera.intrinsics.width_px, camera.intrinsics.height_px])
     }
@@ -123,7 +123,7 @@ impl SceneCourse {
     /// Trajectories of the ego and the agents that move.
     pub fn trajectories(&self) -> impl Iterator<Item = &Trajectory> {
         let agents = self.agents.iter().map(|agent| &agent.trajectory);
-        agents.chain([&self.scene.loaded.ego])
+        agents.chain([&self.input.loaded.ego])
     }
 
     /// Agents that move and are present at `time_s`.
@@ -148,7 +148,7 @@ impl SceneCourse {
 
     /// All agents at `time_s` with their boxes; those of plain splats where they are drawn.
     pub fn boxes_at(&self, time_s: f64) -> Vec<Boxed> {
-        let loaded = &self.scene.loaded;
+        let loaded = &self.input.loaded;
         let moving = self
             .agents_at(time_s)
             .into_iter()
@@ -186,7 +186,7 @@ impl SceneCourse {
         if let Some(editor) = &self.editor {
             return editor.file().agent(name).ok()?.class.clone();
         }
-        let mut labels = self.scene.loaded.agent_labels.iter();
+        let mut labels = self.input.loaded.agent_labels.iter();
         labels.find(|label| label.name == name)?.class.clone()
     }
 
@@ -203,7 +203,7 @@ impl SceneCourse {
         let poses = self
             .trajectories()
             .flat_map(|trajectory| trajectory.poses());
-        let fixed = self.scene.loaded.plain_agents.iter();
+        let fixed = self.input.loaded.plain_agents.iter();
         let fixed = fixed.map(|agent| agent.pose.translation);
         lanes.lines_about(poses.map(|timed| timed.pose.translation).chain(fixed))
     }
@@ -218,7 +218,7 @@ impl SceneCourse {
         edit: &Edit,
         time_s: f64,
         session: &Session,
-    ) -> Result<(Option<String>, Option<Arc<SessionScene>>), String> {
+    ) -> Result<(Option<String>, Option<Arc<Scene>>), String> {
         let editor = self.editor.as_mut().ok_or(NOT_EDITABLE)?;
         let before = editor.history();
         let said = editor.apply(edit, time_s)?;
@@ -239,7 +239,7 @@ impl SceneCourse {
         (by_m, free, done): (DVec3, bool, bool),
         time_s: f64,
         session: &Session,
-    ) -> Result<Option<Arc<SessionScene>>, String> {
+    ) -> Result<Option<Arc<Scene>>, String> {
         let editor = self.editor.as_mut().ok_or(NOT_EDITABLE)?;
         let agent = editor
             .file()
@@ -283,30 +283,30 @@ impl SceneCourse {
         &mut self,
         before: History<SceneFile>,
         session: &Session,
-    ) -> Result<Option<Arc<SessionScene>>, String> {
+    ) -> Result<Option<Arc<Scene>>, String> {
         let Some(editor) = self.editor.as_mut() else {
             return Ok(None);
         };
         let file = editor.file();
-        let is_lit = self.scene.loaded.light.is_some();
+        let is_lit = self.input.loaded.light.is_some();
         if !is_lit
             && plain(before.state()) == plain(file)
-            && let Some(agents) = self.assets.agents(file, &self.scene.loaded)
+            && let Some(agents) = self.assets.agents(file, &self.input.loaded)
         {
             self.agents = agents;
             return Ok(None);
         }
         // Plain splats are part of the background, and light is baked along tracks.
-        let loaded = file.load(editor.folder(), self.scene.time_s);
+        let loaded = file.load(editor.folder(), self.input.time_s);
         let copied = loaded.map_err(anyhow::Error::from).and_then(|loaded| {
-            let changed = self.scene.changed(loaded);
+            let changed = self.input.changed(loaded);
             Ok((session.add_scene(&changed.loaded)?, changed))
         });
         match copied {
             Ok((on_device, changed)) => {
                 self.assets = AssetPlaces::for_file(file);
                 self.agents = changed.loaded.agents.clone();
-                self.scene = changed;
+                self.input = changed;
                 Ok(Some(on_device))
             }
             Err(error) => {

@@ -8,7 +8,7 @@ use decouplegs::asset::{LoadedScene, lidar_names};
 use decouplegs::episode::{LiveEpisode, chosen_lidars};
 use decouplegs::explain::explain;
 use decouplegs::scene::{Camera, Lidar, Motion, Pose};
-use decouplegs::session::{Session, SessionError, SessionScene, World};
+use decouplegs::session::{Scene, Session, SessionError, World};
 use decouplegs_cli::free_view::FreeView;
 use glam::DVec3;
 
@@ -43,7 +43,7 @@ type Dragged = Option<(String, Pose)>;
 /// A scene on the device, at a time.
 pub struct Source {
     course: Course,
-    on_device: Arc<SessionScene>,
+    on_device: Arc<Scene>,
     splats: KeptSplats,
     /// The scene without agents.
     background: World,
@@ -74,12 +74,12 @@ impl Source {
         title: String,
         session: &Session,
     ) -> Result<Self, SessionError> {
-        let on_device = session.add_scene(&course.scene.loaded)?;
+        let on_device = session.add_scene(&course.input.loaded)?;
         Ok(Self::new(Course::Scene(Box::new(course)), on_device, title))
     }
 
     /// Source of a log whose place is `on_device`.
-    pub fn of_log(played: Played, title: String, on_device: Arc<SessionScene>) -> Self {
+    pub fn of_log(played: Played, title: String, on_device: Arc<Scene>) -> Self {
         Self::new(Course::Episode(Box::new(played), None), on_device, title)
     }
 
@@ -94,7 +94,7 @@ impl Source {
         Ok(Self::new(course, scene, title))
     }
 
-    fn new(course: Course, on_device: Arc<SessionScene>, title: String) -> Self {
+    fn new(course: Course, on_device: Arc<Scene>, title: String) -> Self {
         let mut source = Self {
             course,
             background: World::empty(&on_device),
@@ -118,14 +118,14 @@ impl Source {
     pub fn span_s(&self) -> [f64; 2] {
         match &self.course {
             Course::Scene(course) => {
-                let time_s = course.scene.time_s;
+                let time_s = course.input.time_s;
                 let moving = course.trajectories().filter(|way| way.poses().len() > 1);
                 let ends = moving.map(|way| way.end_s());
                 let Some(end_s) = ends.reduce(f64::max) else {
                     return [time_s; 2];
                 };
                 // A scene that is shown from a later time on has the earlier ones too.
-                let start_s = time_s.min(course.scene.loaded.ego.start_s());
+                let start_s = time_s.min(course.input.loaded.ego.start_s());
                 let end_s = end_s.min(start_s + STEP_S * STEPS_MAX);
                 [start_s, end_s.max(time_s)]
             }
@@ -210,13 +210,13 @@ impl Source {
     pub fn set_time(&mut self, time_s: f64) {
         match &self.course {
             Course::Scene(course) => {
-                let scene = &course.scene;
+                let input = &course.input;
                 self.now.time_s = time_s;
                 // The assets are those of the scene: placing them does not fail.
                 let _ = self.now.world.set_agents(course.agents_at(time_s));
-                self.now.cameras = scene.cameras_after(time_s - scene.time_s);
-                self.now.ego = scene.loaded.ego.at(time_s);
-                self.now.motion = scene.loaded.ego.motion_at(time_s);
+                self.now.cameras = input.cameras_after(time_s - input.time_s);
+                self.now.ego = input.loaded.ego.at(time_s);
+                self.now.motion = input.loaded.ego.motion_at(time_s);
             }
             Course::Episode(played, _) => {
                 let moment = played.at(time_s);
@@ -360,7 +360,7 @@ impl Source {
         self.set_time(0.0);
     }
 
-    fn show_anew(&mut self, on_device: Option<Arc<SessionScene>>) {
+    fn show_anew(&mut self, on_device: Option<Arc<Scene>>) {
         if let Some(on_device) = on_device {
             self.background = World::empty(&on_device);
             self.now.world = World::empty(&on_device);
@@ -403,7 +403,7 @@ impl Source {
     /// Scene as it was read.
     pub fn loaded(&self) -> &LoadedScene {
         match &self.course {
-            Course::Scene(course) => &course.scene.loaded,
+            Course::Scene(course) => &course.input.loaded,
             Course::Episode(played, _) => played.loaded(),
         }
     }

@@ -12,7 +12,7 @@ use decouplegs::scene::{LaneMap, Pose, Track, TrackPoint, Trajectory, random};
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use super::reinsertion_scene::{ReinsertionScene, trajectory};
+use super::reinsertion_street::{ReinsertionStreet, trajectory};
 
 /// Rate at which tracks tell where a car is, Hz.
 const RATE_HZ: f64 = 10.0;
@@ -84,7 +84,7 @@ pub struct Tracks {
 impl Tracks {
     /// The ways of `stage`'s agents as a log that drifts tells them, and as they come out of
     /// registration.
-    pub fn register(stage: &ReinsertionScene, drift: &Drift) -> Result<Self> {
+    pub fn register(stage: &ReinsertionStreet, drift: &Drift) -> Result<Self> {
         let truth: Vec<Track> = (0..stage.loaded.agents.len())
             .map(|agent| true_track(stage, agent))
             .collect();
@@ -133,7 +133,7 @@ impl Tracks {
     }
 }
 
-fn true_track(stage: &ReinsertionScene, agent: usize) -> Track {
+fn true_track(stage: &ReinsertionStreet, agent: usize) -> Track {
     let placed = &stage.loaded.agents[agent];
     let (start_s, end_s) = (placed.trajectory.start_s(), placed.trajectory.end_s());
     let count = ((end_s - start_s) * RATE_HZ).round() as u32;

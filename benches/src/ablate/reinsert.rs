@@ -1,19 +1,21 @@
 //! Cars put back where true ones stood, in several ways, and how far each is from the truth.
 
 use anyhow::{Result, ensure};
-use decouplegs::asset::LoadedAgent;
+use decouplegs::asset::{LoadedAgent, LoadedScene};
 use decouplegs::gpu::Gpu;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
-use decouplegs::render::{Agent, AssetPool, Image, Outputs, Plane, RenderOptions, Renderer, Scene};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, Image, Outputs, Plane, RenderOptions, Renderer,
+};
 use decouplegs::scene::light::{Lighting, LitAgent, ShadowOptions, bake_shadows};
 use decouplegs::scene::{AmbientDescriptor, Camera, GroundShadow, ShFrame, SplatScene};
 use decouplegs::synth::street::Weather;
-use decouplegs::{LiveScene, SceneSnapshot};
+use decouplegs::{Session, SessionOptions, World};
 
 use super::affine;
 use super::cars::Cars;
 use super::example_crops::{self, ExampleCrops};
-use super::reinsertion_scene::{ReinsertionScene, Truth};
+use super::reinsertion_street::{ReinsertionStreet, Truth};
 use super::ring::{self, Darkness};
 
 /// A way to put cars back.
@@ -127,7 +129,7 @@ pub struct Reinserted {
 /// Setup of the reinsertion of cars into one street.
 pub struct Reinsertion<'a> {
     pub gpu: &'a Gpu,
-    pub stage: &'a ReinsertionScene,
+    pub stage: &'a ReinsertionStreet,
     pub cars: &'a Cars,
     /// The light of the street, without shading by normals.
     pub lighting: &'a Lighting,
@@ -145,7 +147,7 @@ impl Reinsertion<'_> {
     /// Puts the cars back by every arm at `moments_s`; `done` is told each moment.
     pub fn measure(&self, moments_s: &[f64], done: &dyn Fn()) -> Result<(Reinserted, Vec<Sample>)> {
         let mut renderer = self.renderer();
-        let live = LiveScene::new(&renderer, &self.stage.loaded)?;
+        let world = self.world(&self.stage.loaded)?;
         let new = |_| Errors {
             vehicles: MaskedErrors::new(self.floor),
             ground: MaskedErrors::new(self.floor),
@@ -156,11 +158,11 @@ impl Reinsertion<'_> {
         for &time_s in moments_s {
             let truth = self.stage.truth(self.cars, time_s);
             let sample = self.sample(&mut renderer, &truth, time_s)?;
-            renderer.render(&live.gpu_scene, &sample.cameras)?;
+            renderer.render(world.scene().background(), &sample.cameras)?;
             let empty = renderer.read_images()?;
             let mut drawn = Vec::new();
             for (&arm, errors) in Arm::ALL.iter().zip(&mut errors) {
-                let images = self.images(&mut renderer, &live, arm, &truth, &sample)?;
+                let images = self.images(&mut renderer, &world, arm, &truth, &sample)?;
                 for (at, found) in images.iter().enumerate() {
                     errors
                         .vehicles
@@ -180,7 +182,7 @@ impl Reinsertion<'_> {
             samples.push(sample);
             done();
         }
-        let (starkness, directionality, unlit) = self.light(&live, moments_s);
+        let (starkness, directionality, unlit) = self.light(&world, moments_s);
         let reinserted = Reinserted {
             weather: self.stage.weather(),
             arms: figures(errors)?,
@@ -209,6 +211,12 @@ impl Reinsertion<'_> {
                 ..RenderOptions::default()
             },
         )
+    }
+
+    /// A world over `loaded` on the device.
+    pub fn world(&self, loaded: &LoadedScene) -> Result<World> {
+        let session = Session::on(self.gpu, &SessionOptions::default());
+        Ok(World::new(&session.add_scene(loaded)?))
     }
 
     fn sample(&self, renderer: &mut Renderer, truth: &Truth, time_s: f64) -> Result<Sample> {
@@ -244,25 +252,19 @@ impl Reinsertion<'_> {
     fn images(
         &self,
         renderer: &mut Renderer,
-        live: &LiveScene,
+        world: &World,
         arm: Arm,
         truth: &Truth,
         sample: &Sample,
     ) -> Result<Vec<Image>> {
-        let mut moment = live.at(sample.time_s);
+        let mut cars = agents_at(world, sample.time_s);
         match arm {
             Arm::Ours => {}
-            Arm::ContactShadows => moment.shadows = self.contact_shadows(&moment),
-            Arm::OursUnshadowed => moment.shadows.clear(),
-            Arm::NoRelighting => {
-                moment.shadows.clear();
-                moment
-                    .agents
-                    .iter_mut()
-                    .for_each(|agent| *agent = agent.unlit());
-            }
+            Arm::ContactShadows => cars.shadows = self.contact_shadows(&cars),
+            Arm::OursUnshadowed => cars.shadows.clear(),
+            Arm::NoRelighting => unlight(&mut cars),
             Arm::BestAffine => {
-                for ((agent, car), placed) in moment
+                for ((agent, car), placed) in cars
                     .agents
                     .iter_mut()
                     .zip(&truth.cars)
@@ -278,7 +280,7 @@ impl Reinsertion<'_> {
                 }
             }
             Arm::Transfer => {
-                for agent in &mut moment.agents {
+                for agent in &mut cars.agents {
                     let pose = &agent.world_from_agent;
                     let light = self.lighting.at(pose.translation).0;
                     agent.shading = None;
@@ -287,21 +289,22 @@ impl Reinsertion<'_> {
             }
             Arm::OursUncompressed => {}
             Arm::TruthCompressed => {
-                return self.images_in_true_colors(renderer, live, &moment, truth, sample);
+                return self.images_in_true_colors(renderer, world, &cars, truth, sample);
             }
         }
         if matches!(arm, Arm::OursUncompressed | Arm::BestAffine) {
-            let splat_scene = renderer.upload(&self.copies(&moment))?;
+            let splat_scene = renderer.upload(&self.copies(&cars))?;
             renderer.render(&splat_scene, &sample.cameras)?;
         } else {
-            renderer.render(live.with(&moment), &sample.cameras)?;
+            let render = |splats: FrameSplats<'_>| renderer.render(splats, &sample.cameras);
+            world.scene().lend(&cars, render)?;
         }
         Ok(renderer.read_images()?)
     }
 
-    /// Shadows of `moment` where nothing is known of sun and lamps.
-    fn contact_shadows(&self, moment: &SceneSnapshot) -> Vec<GroundShadow> {
-        let placed = moment.agents.iter().zip(&self.stage.loaded.agents);
+    /// Shadows of `cars` where nothing is known of sun and lamps.
+    fn contact_shadows(&self, cars: &FrameAgents) -> Vec<GroundShadow> {
+        let placed = cars.agents.iter().zip(&self.stage.loaded.agents);
         let shadow = |(agent, placed): (&Agent, &LoadedAgent)| {
             let pose = &agent.world_from_agent;
             let light = self.lighting.at(pose.translation).0;
@@ -315,8 +318,8 @@ impl Reinsertion<'_> {
     fn images_in_true_colors(
         &self,
         renderer: &mut Renderer,
-        live: &LiveScene,
-        moment: &SceneSnapshot,
+        world: &World,
+        cars: &FrameAgents,
         truth: &Truth,
         sample: &Sample,
     ) -> Result<Vec<Image>> {
@@ -340,22 +343,22 @@ impl Reinsertion<'_> {
         for (coded, at) in self.cars.compressed(&clouds)?.iter().zip(seen) {
             agents.push(Agent {
                 asset: pool.add(coded)?,
-                ..moment.agents[at].unlit()
+                ..cars.agents[at].unlit()
             });
         }
         renderer.render(
-            Scene::with_agents(&live.gpu_scene, &pool, &agents),
+            FrameSplats::with_agents(world.scene().background(), &pool, &FrameAgents::new(agents)),
             &sample.cameras,
         )?;
         Ok(renderer.read_images()?)
     }
 
-    /// The background under the shadows of `moment`, and world-space copies of the whole cars in
+    /// The background under the shadows of `cars`, and world-space copies of the whole cars in
     /// its light.
-    pub fn copies(&self, moment: &SceneSnapshot) -> SplatScene {
+    pub fn copies(&self, cars: &FrameAgents) -> SplatScene {
         let mut splat_scene = self.stage.loaded.splat_scene.clone();
-        bake_shadows(&mut splat_scene, &moment.shadows);
-        for (agent, placed) in moment.agents.iter().zip(&self.stage.loaded.agents) {
+        bake_shadows(&mut splat_scene, &cars.shadows);
+        for (agent, placed) in cars.agents.iter().zip(&self.stage.loaded.agents) {
             let original = &self.cars.originals[placed.asset];
             let lit = LitAgent {
                 relight: agent.relight,
@@ -376,21 +379,35 @@ impl Reinsertion<'_> {
 
     /// Means of I_dom and of directionality, and how many agents stand where nothing tells of the
     /// light.
-    fn light(&self, live: &LiveScene, moments_s: &[f64]) -> (f64, f64, usize) {
-        let moments: Vec<SceneSnapshot> = moments_s.iter().map(|&time_s| live.at(time_s)).collect();
-        let agents = moments.iter().flat_map(|moment| &moment.agents);
+    fn light(&self, world: &World, moments_s: &[f64]) -> (f64, f64, usize) {
+        let agents = moments_s
+            .iter()
+            .flat_map(|&time_s| agents_at(world, time_s).agents);
         let lights: Vec<_> = agents
-            .map(|agent| self.lighting.at(agent.world_from_agent.translation).0)
+            .map(|agent| self.lighting.at(agent.world_from_agent.translation))
             .collect();
+        let starkness = |(light, _): &_| ShadowOptions::default().starkness(light);
+        let directionality = |(light, _): &(AmbientDescriptor, _)| light.directionality();
         (
-            mean(
-                lights
-                    .iter()
-                    .map(|light| ShadowOptions::default().starkness(light)),
-            ),
-            mean(lights.iter().map(AmbientDescriptor::directionality)),
-            moments.iter().map(|moment| moment.unlit).sum(),
+            mean(lights.iter().map(starkness)),
+            mean(lights.iter().map(directionality)),
+            lights.iter().filter(|(_, known)| !known).count(),
         )
+    }
+}
+
+/// The agents of `world` at `time_s` of their trajectories, in the light of the scene.
+pub fn agents_at(world: &World, time_s: f64) -> FrameAgents {
+    let mut world = world.clone();
+    world.set_time(time_s);
+    world.frame_agents()
+}
+
+/// Takes light and shadows of the scene from `cars`.
+pub fn unlight(cars: &mut FrameAgents) {
+    cars.shadows.clear();
+    for agent in &mut cars.agents {
+        *agent = agent.unlit();
     }
 }
 

@@ -2,9 +2,9 @@
 
 use anyhow::Result;
 use decouplegs::gpu::Gpu;
-use decouplegs::render::{ColorFormat, GpuScene, Outputs, RenderOptions, Renderer};
+use decouplegs::render::{ColorFormat, Outputs, RenderOptions, Renderer, ResidentSplats};
 use decouplegs::scene::SplatScene;
-use decouplegs::{LiveScene, asset::LoadedScene};
+use decouplegs::{Session, World, asset::LoadedScene};
 
 use crate::stress::drive_schedule::DriveSchedule;
 use crate::stress::figures::Measured;
@@ -47,13 +47,12 @@ impl<'a> Speed<'a> {
     /// Compressed agents that drive as `driven` says, two frames in flight.
     pub fn of_coded(&self, driven: &LoadedScene) -> Result<Measured> {
         let mut renderer = self.renderer(true, 2);
-        let live = LiveScene::new(&renderer, driven)?;
+        let session = Session::on(self.gpu, &(*renderer.options()).into());
+        let mut world = World::new(&session.add_scene(driven)?);
         self.drive(&mut renderer, |renderer, time_s| {
-            let moment = live.at(time_s);
-            Ok(renderer.submit(
-                live.with(&moment),
-                &self.schedule.cameras(self.scene, time_s),
-            )?)
+            world.set_time(time_s);
+            let cameras = self.schedule.cameras(self.scene, time_s);
+            Ok(world.lend(|splats| renderer.submit(splats, &cameras))?)
         })
     }
 
@@ -75,7 +74,7 @@ impl<'a> Speed<'a> {
     pub fn of_fresh_copies(&self, copies_at: impl Fn(f64) -> SplatScene) -> Result<Measured> {
         let mut renderer = self.renderer(false, 1);
         // Kept until the next frame: this one is drawn from it.
-        let mut shown: Option<GpuScene> = None;
+        let mut shown: Option<ResidentSplats> = None;
         self.drive(&mut renderer, |renderer, time_s| {
             let splat_scene = SplatScene {
                 instance_from_splat: Vec::new(),

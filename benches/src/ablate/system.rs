@@ -1,14 +1,13 @@
 //! The system in full, and without one part after the other.
 
 use anyhow::{Context, Result};
-use decouplegs::render::Image;
 use decouplegs::render::metrics::{MaskedDifference, MaskedErrors};
+use decouplegs::render::{FrameSplats, Image};
 use decouplegs::scene::Trajectory;
 use decouplegs::synth::street::Weather;
-use decouplegs::{LiveScene, SceneSnapshot};
 
 use super::placing::{Drift, Placing, Tracks};
-use super::reinsert::{Arm, Reinserted, Reinsertion, Sample};
+use super::reinsert::{Arm, Reinserted, Reinsertion, Sample, agents_at, unlight};
 use super::speed::Speed;
 use crate::stress::figures::Measured;
 
@@ -129,11 +128,11 @@ impl Reinsertion<'_> {
                     speed.of_coded(&driven)?
                 }
                 Without::Compression | Without::CompressionFresh => {
-                    let renderer = self.renderer();
-                    let live = LiveScene::new(&renderer, &driven)?;
+                    let world = self.world(&driven)?;
+                    let copies_at = |time_s| self.copies(&agents_at(&world, time_s));
                     match without {
-                        Without::Compression => speed.of_copies(self.copies(&live.at(middle_s)))?,
-                        _ => speed.of_fresh_copies(|time_s| self.copies(&live.at(time_s)))?,
+                        Without::Compression => speed.of_copies(copies_at(middle_s))?,
+                        _ => speed.of_fresh_copies(copies_at)?,
                     }
                 }
             };
@@ -174,22 +173,19 @@ impl Reinsertion<'_> {
         samples: &[Sample],
     ) -> Result<MaskedDifference> {
         let mut renderer = self.renderer();
-        let live = LiveScene::new(&renderer, &self.stage.driven(ways))?;
+        let world = self.world(&self.stage.driven(ways))?;
         let mut errors = MaskedErrors::new(self.floor);
         for sample in samples {
-            let mut moment: SceneSnapshot = live.at(sample.time_s);
+            let mut cars = agents_at(&world, sample.time_s);
             if without.arm() == Arm::NoRelighting {
-                moment.shadows.clear();
-                moment
-                    .agents
-                    .iter_mut()
-                    .for_each(|agent| *agent = agent.unlit());
+                unlight(&mut cars);
             }
             if without.arm() == Arm::OursUncompressed {
-                let splat_scene = renderer.upload(&self.copies(&moment))?;
+                let splat_scene = renderer.upload(&self.copies(&cars))?;
                 renderer.render(&splat_scene, &sample.cameras)?;
             } else {
-                renderer.render(live.with(&moment), &sample.cameras)?;
+                let render = |splats: FrameSplats<'_>| renderer.render(splats, &sample.cameras);
+                world.scene().lend(&cars, render)?;
             }
             let images: Vec<Image> = renderer.read_images()?;
             for (at, found) in images.iter().enumerate() {

@@ -5,15 +5,15 @@ use std::io::Write;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use decouplegs::LiveScene;
 use decouplegs::asset::write_atomically;
 use decouplegs::episode::chosen_lidars;
 use decouplegs::gpu::{Gpu, KernelTrial, MemoryReport};
 use decouplegs::render::layout::BeamState;
-use decouplegs::render::reference::lidar::{BeamHit64, LidarScene64, SplatGroup};
-use decouplegs::render::{LidarOptions, LidarRenderer, Renderer, TracedSweep};
+use decouplegs::render::reference::lidar::{BeamHit64, LidarSplats64, SplatGroup};
+use decouplegs::render::{LidarOptions, LidarRenderer, TracedSweep};
 use decouplegs::scene::lidar::{Beam, ReturnMode};
 use decouplegs::scene::{Lidar, Motion, Pose};
+use decouplegs::{Session, World};
 use serde_json::{Value, json};
 
 use super::trial::PROGRAM;
@@ -21,7 +21,7 @@ use super::{Arguments, kernels};
 use crate::arguments::print;
 use crate::device::check_validation;
 use crate::progress;
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 use crate::spread::Spread;
 
 /// A median range counts as right within this distance of the f64 definition's, meters.
@@ -46,8 +46,8 @@ struct Timed {
 }
 
 /// Times sweeps of the LiDAR `name`, by the program's kernels and by those of each trial.
-pub fn run(name: &str, scene: &Scene, arguments: &Arguments) -> Result<()> {
-    let subject = subject(name, scene)?;
+pub fn run(name: &str, input: &DrawInput, arguments: &Arguments) -> Result<()> {
+    let subject = subject(name, input)?;
     let mut candidates = vec![(PROGRAM.to_owned(), KernelTrial::default())];
     for trial in &arguments.trial {
         candidates.push((trial.label().to_owned(), trial.kernels()?));
@@ -61,17 +61,17 @@ pub fn run(name: &str, scene: &Scene, arguments: &Arguments) -> Result<()> {
     for round in 0..rounds {
         for (label, trial) in &candidates {
             let gpu = arguments.open(trial.clone())?;
-            let timed = time_sweeps(&gpu, scene, arguments, &subject)
+            let timed = time_sweeps(&gpu, input, arguments, &subject)
                 .with_context(|| format!("with the kernels of {label}"))?;
             check_validation(&gpu)?;
-            let mut figures = figures(&timed, &gpu, scene, arguments);
+            let mut figures = figures(&timed, &gpu, input, arguments);
             let states = program.get_or_insert_with(|| timed.last.states.clone());
             figures["same_as_program"] = json!(*states == timed.last.states);
             figures["label"] = json!(label);
             figures["round"] = json!(round);
             if round == 0 {
                 figures["kernels"] = kernels::figures(&gpu.kernel_reports());
-                figures["error"] = error(&timed.last, scene, &subject, arguments.error_beams);
+                figures["error"] = error(&timed.last, input, &subject, arguments.error_beams);
             }
             print(&row(&figures))?;
             if arguments.kernels && round == 0 {
@@ -89,12 +89,12 @@ pub fn run(name: &str, scene: &Scene, arguments: &Arguments) -> Result<()> {
 }
 
 /// The LiDAR called `name`, of the scene or of the program, where the ego is.
-fn subject(name: &str, scene: &Scene) -> Result<Subject> {
-    let loaded = &scene.loaded;
+fn subject(name: &str, input: &DrawInput) -> Result<Subject> {
+    let loaded = &input.loaded;
     let mounted = chosen_lidars(&loaded.rig, false, &[name.to_owned()])?.remove(0);
     let sweep_s = mounted.model.sweep_s;
-    let start = loaded.ego.at(scene.time_s);
-    let motion = Motion::between(&start, &loaded.ego.at(scene.time_s + sweep_s), sweep_s);
+    let start = loaded.ego.at(input.time_s);
+    let motion = Motion::between(&start, &loaded.ego.at(input.time_s + sweep_s), sweep_s);
     let lidar = mounted.sweep_from(&start, &motion);
     ensure!(
         !lidar.model.beams().is_empty(),
@@ -103,36 +103,42 @@ fn subject(name: &str, scene: &Scene) -> Result<Subject> {
     Ok(Subject {
         mode: lidar.model.returns,
         lidar,
-        time_s: scene.time_s,
+        time_s: input.time_s,
     })
 }
 
 /// The sweeps after the warm-up, then as many as are timed by stage.
 fn time_sweeps(
     gpu: &Gpu,
-    scene: &Scene,
+    input: &DrawInput,
     arguments: &Arguments,
     subject: &Subject,
 ) -> Result<Timed> {
-    let renderer = Renderer::new(gpu, arguments.options(scene.rules()));
+    let session = Session::on(gpu, &arguments.options(input.rules()).into());
     let copying = progress::spinner("copying the scene to the device".into());
-    let live = LiveScene::new(&renderer, &scene.loaded)?;
+    let mut world = World::new(&session.add_scene(&input.loaded)?);
     copying.finish_and_clear();
     let options = LidarOptions {
-        rules: scene.rules(),
+        rules: input.rules(),
         ..LidarOptions::default()
     };
     let mut lidars = LidarRenderer::new(gpu, options);
-    let moment = live.at(subject.time_s);
-    let mut trace = || lidars.trace(live.with(&moment), &subject.lidar, subject.mode);
+    world.set_time(subject.time_s);
+    let agents = world.frame_agents();
+    let scene = world.scene();
+    let trace = |lidars: &mut LidarRenderer| {
+        scene.lend(&agents, |splats| {
+            lidars.trace(splats, &subject.lidar, subject.mode)
+        })
+    };
     let by_stage = arguments.frames.min(super::FRAMES_BY_STAGE_MAX);
     let count = arguments.warm_up + arguments.frames;
     let bar = progress::bar("sweeps", (count + by_stage) as usize);
     let (mut gpu_ms, mut wall_ms) = (Vec::new(), Vec::new());
-    let mut last = trace()?;
+    let mut last = trace(&mut lidars)?;
     for index in 0..count {
         let begun = Instant::now();
-        last = trace()?;
+        last = trace(&mut lidars)?;
         if index >= arguments.warm_up {
             wall_ms.push(begun.elapsed().as_secs_f64() * 1e3);
             gpu_ms.push(last.gpu_time_ns as f64 * 1e-6);
@@ -142,7 +148,7 @@ fn time_sweeps(
     lidars.time_stages(true);
     let mut stages = Vec::new();
     for _ in 0..by_stage {
-        let traced = lidars.trace(live.with(&moment), &subject.lidar, subject.mode)?;
+        let traced = trace(&mut lidars)?;
         let times = traced.stages.iter();
         stages.push(
             times
@@ -162,7 +168,7 @@ fn time_sweeps(
 }
 
 /// Results, with the conditions of the measurement.
-fn figures(timed: &Timed, gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Value {
+fn figures(timed: &Timed, gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Value {
     let model = &timed.last.lidar.model;
     let spread = |values: &[f64]| Spread::from_values(values.iter().copied()).to_json();
     let first = timed.stages.first().map_or(&[][..], |stages| &stages[..]);
@@ -174,8 +180,8 @@ fn figures(timed: &Timed, gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Va
         "version": env!("CARGO_PKG_VERSION"),
         "device": gpu.info().name,
         "driver": gpu.info().driver,
-        "splats": scene.loaded.splat_scene.splats.len(),
-        "agents": scene.loaded.agents.len(),
+        "splats": input.loaded.splat_scene.splats.len(),
+        "agents": input.loaded.agents.len(),
         "lidar": model.name,
         "beams": timed.last.beams.len(),
         "warm_up": arguments.warm_up,
@@ -189,7 +195,7 @@ fn figures(timed: &Timed, gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Va
 }
 
 /// Difference of `count` beams, evenly chosen, from the f64 definition.
-fn error(traced: &TracedSweep, scene: &Scene, subject: &Subject, count: usize) -> Value {
+fn error(traced: &TracedSweep, input: &DrawInput, subject: &Subject, count: usize) -> Value {
     let beams = traced.beams.len();
     let count = count.min(beams);
     if count == 0 {
@@ -200,7 +206,7 @@ fn error(traced: &TracedSweep, scene: &Scene, subject: &Subject, count: usize) -
         .collect();
     let directions: Vec<Beam> = chosen.iter().map(|&beam| traced.beams[beam]).collect();
     let working = progress::spinner(format!("{count} beams by the f64 definition"));
-    let hits = truth(scene, subject, &directions);
+    let hits = truth(input, subject, &directions);
     working.finish_and_clear();
     let (mut right, mut returns, mut other, mut worst_m, mut transmittance) = (0, 0, 0, 0.0, 0.0);
     for (&beam, hit) in chosen.iter().zip(&hits) {
@@ -230,8 +236,8 @@ fn error(traced: &TracedSweep, scene: &Scene, subject: &Subject, count: usize) -
 }
 
 /// Hits of `beams`, by the f64 definition.
-fn truth(scene: &Scene, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64> {
-    let (loaded, time_s) = (&scene.loaded, subject.time_s);
+fn truth(input: &DrawInput, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64> {
+    let (loaded, time_s) = (&input.loaded, subject.time_s);
     let met = loaded.splat_scene.without_sky_splats();
     let background = SplatGroup {
         splats: &met.splats,
@@ -253,9 +259,9 @@ fn truth(scene: &Scene, subject: &Subject, beams: &[Beam]) -> Vec<BeamHit64> {
             motion: agent.trajectory.motion_at(time_s),
         })
     });
-    let reference = LidarScene64 {
+    let reference = LidarSplats64 {
         groups: std::iter::once(background).chain(agents).collect(),
-        rules: scene.rules(),
+        rules: input.rules(),
     };
     reference.hits(&subject.lidar, beams)
 }

@@ -8,12 +8,12 @@ use decouplegs::scene::{Camera, Rules};
 use serde_json::{Value, json};
 
 use super::{ImageError, Measured, Timed};
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 use crate::spread::Spread;
 use crate::stage_times::stage_times_ms;
 
 /// Results, with the conditions of the measurement.
-pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
+pub fn figures<'a>(input: &DrawInput, measured: &'a Measured) -> Value {
     let Measured {
         device,
         options,
@@ -52,24 +52,24 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
     let image_error = |image: &ImageError| json!({ "camera": image.camera, "difference": image.difference, "flips": image.flips });
     let splat_bytes = options
         .storage
-        .splat_bytes(scene.loaded.splat_scene.splats.sh_degree);
+        .splat_bytes(input.loaded.splat_scene.splats.sh_degree);
     let mut figures = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "device": device.name,
         "driver": device.driver,
-        "splats": scene.loaded.splat_scene.splats.len(),
-        "sh_degree": scene.loaded.splat_scene.splats.sh_degree,
-        "agents": { "in_scene": scene.loaded.agents.len(), "drawn": last.agents, "splats": last.agent_splats },
+        "splats": input.loaded.splat_scene.splats.len(),
+        "sh_degree": input.loaded.splat_scene.splats.sh_degree,
+        "agents": { "in_scene": input.loaded.agents.len(), "drawn": last.agents, "splats": last.agent_splats },
         "storage": { "name": options.storage.name(), "splat_bytes": splat_bytes },
         "keep_keys": options.keep_keys,
         "level_pitch_px": options.level_pitch_px,
         "background_pitch_px": options.background_pitch_px,
         "frames_in_flight": options.frames_in_flight,
         "step_s": step_s,
-        "cameras": scene.cameras.len(),
-        "width_px": scene.cameras[0].intrinsics.width_px,
-        "height_px": scene.cameras[0].intrinsics.height_px,
-        "sizes_px": scene.cameras.iter().map(size).collect::<Vec<_>>(),
+        "cameras": input.cameras.len(),
+        "width_px": input.cameras[0].intrinsics.width_px,
+        "height_px": input.cameras[0].intrinsics.height_px,
+        "sizes_px": input.cameras.iter().map(size).collect::<Vec<_>>(),
         "rules": rules_text(&options.rules),
         "outputs": options.outputs,
         "warm_up": warm_up,
@@ -83,7 +83,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
         "update_gpu_ms": milliseconds(&|frame| frame.update_time.map_or(0.0, |time| time.as_secs_f64() * 1e3)),
         "record_ms": milliseconds(&|frame| frame.record_time.as_secs_f64() * 1e3),
         "rig_steps_per_s": rig_steps_per_s,
-        "images_per_s": rig_steps_per_s * scene.cameras.len() as f64,
+        "images_per_s": rig_steps_per_s * input.cameras.len() as f64,
         "frames_by_stage": by_stage.len(),
         "stages": stages,
         "required": last.required,
@@ -94,7 +94,7 @@ pub fn figures<'a>(scene: &Scene, measured: &'a Measured) -> Value {
             "driver_usage": memory.driver_usage_bytes,
         },
         "error": {
-            "camera": scene.cameras[0].name,
+            "camera": input.cameras[0].name,
             "window_px": [window.left_px, window.top_px, window.width_px, window.height_px],
             "difference": difference,
             "flip_min": FLIP_MIN,

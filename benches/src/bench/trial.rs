@@ -4,16 +4,16 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
-use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, KernelTrial};
 use decouplegs::render::metrics::Difference;
 use decouplegs::render::rendered_image::Image;
 use decouplegs::render::{Outputs, RenderOptions, Renderer};
+use decouplegs::{Session, World};
 use serde_json::{Value, json};
 
 use super::{Arguments, kernels, time_frames};
 use crate::arguments::print;
-use crate::scene_source::Scene;
+use crate::scene_source::DrawInput;
 use crate::spread::Spread;
 use crate::stage_times::stage_times_ms;
 
@@ -61,7 +61,7 @@ pub const PROGRAM: &str = "program";
 
 /// Times frames by the program's kernels and by those of each trial, in turn, and compares their
 /// images.
-pub fn run(scene: &Scene, arguments: &Arguments) -> Result<Value> {
+pub fn run(input: &DrawInput, arguments: &Arguments) -> Result<Value> {
     let own = (PROGRAM.to_owned(), KernelTrial::default());
     let mut candidates = vec![own];
     for trial in &arguments.trial {
@@ -72,11 +72,11 @@ pub fn run(scene: &Scene, arguments: &Arguments) -> Result<Value> {
     for round in 0..arguments.trial_rounds {
         for (label, trial) in &candidates {
             let gpu = arguments.open(trial.clone())?;
-            let mut figures = times(&gpu, scene, arguments)
+            let mut figures = times(&gpu, input, arguments)
                 .with_context(|| format!("with the kernels of {label}"))?;
             if round == 0 {
                 figures["kernels"] = kernels::figures(&gpu.kernel_reports());
-                let image = image(&gpu, scene, arguments)?;
+                let image = image(&gpu, input, arguments)?;
                 let program = program_image.get_or_insert_with(|| image.clone());
                 figures["difference"] = match Difference::between(&image, program) {
                     Ok(difference) => json!(difference),
@@ -93,8 +93,8 @@ pub fn run(scene: &Scene, arguments: &Arguments) -> Result<Value> {
 }
 
 /// Times of a frame and of its stages, milliseconds.
-fn times(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Value> {
-    let timed = time_frames(gpu, scene, arguments)?;
+fn times(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Value> {
+    let timed = time_frames(gpu, input, arguments)?;
     let frame_ms = timed
         .frames
         .iter()
@@ -118,14 +118,16 @@ fn times(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Value> {
 }
 
 /// The image of the scene's first camera, f32.
-fn image(gpu: &Gpu, scene: &Scene, arguments: &Arguments) -> Result<Image> {
+fn image(gpu: &Gpu, input: &DrawInput, arguments: &Arguments) -> Result<Image> {
     let options = RenderOptions {
         outputs: Outputs::default(),
-        ..arguments.options(scene.rules())
+        ..arguments.options(input.rules())
     };
     let mut renderer = Renderer::new(gpu, options);
-    let live = LiveScene::new(&renderer, &scene.loaded)?;
-    renderer.render(live.with(&live.at(scene.time_s)), &scene.cameras[..1])?;
+    let session = Session::on(gpu, &options.into());
+    let mut world = World::new(&session.add_scene(&input.loaded)?);
+    world.set_time(input.time_s);
+    world.lend(|splats| renderer.render(splats, &input.cameras[..1]))?;
     Ok(renderer.read_images()?.swap_remove(0))
 }
 

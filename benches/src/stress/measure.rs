@@ -2,13 +2,14 @@
 //! at the sampled moments.
 
 use anyhow::Result;
-use decouplegs::LiveScene;
 use decouplegs::gpu::{Gpu, GpuError};
 use decouplegs::render::layout::{CLUSTER_SPLATS, ClusterRecord, NodeRecord};
 use decouplegs::render::{
-    ColorFormat, GpuScene, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, SHAPE_WORDS,
+    ColorFormat, Image, Outputs, Plane, RenderError, RenderOptions, Renderer, ResidentSplats,
+    SHAPE_WORDS,
 };
 use decouplegs::scene::{Camera, CodedCloud, DetailLevels, SplatScene};
+use decouplegs::{Session, SessionError, World};
 
 use super::drive_schedule::DriveSchedule;
 use super::fidelity::Fidelity;
@@ -30,22 +31,25 @@ pub struct TestRig<'a> {
     importance: Option<(usize, Vec<f64>)>,
 }
 
-/// A scene on the device.
+/// Background and agents on the device.
 enum Resident {
-    Copies(Box<GpuScene>),
-    Live(Box<LiveScene>),
+    Copies(Box<ResidentSplats>),
+    Coded(World),
 }
 
 impl Resident {
     fn submit(
-        &self,
+        &mut self,
         renderer: &mut Renderer,
         time_s: f64,
         cameras: &[Camera],
     ) -> Result<(), RenderError> {
         match self {
             Self::Copies(splat_scene) => renderer.submit(&**splat_scene, cameras),
-            Self::Live(live) => renderer.submit(live.with(&live.at(time_s)), cameras),
+            Self::Coded(world) => {
+                world.set_time(time_s);
+                world.lend(|splats| renderer.submit(splats, cameras))
+            }
         }
     }
 }
@@ -122,8 +126,9 @@ impl<'a> TestRig<'a> {
         let predicted_scene_bytes;
         let world_splats;
         let measured = {
-            let mut renderer = Renderer::new(self.gpu, mode.options(rules, ColorFormat::U8));
-            let resident = match mode.agents {
+            let options = mode.options(rules, ColorFormat::U8);
+            let mut renderer = Renderer::new(self.gpu, options);
+            let mut resident = match mode.agents {
                 Agents::Copies { .. } => {
                     let splat_scene = SplatScene {
                         instance_from_splat: Vec::new(),
@@ -144,17 +149,18 @@ impl<'a> TestRig<'a> {
                     if predicted_scene_bytes > limit_bytes {
                         return Ok((out_of_memory(predicted_scene_bytes, PREDICTED), Vec::new()));
                     }
-                    Resident::Live(Box::new(LiveScene::new(&renderer, scene)?))
+                    let session = Session::on(self.gpu, &options.into());
+                    Resident::Coded(World::new(&session.add_scene(scene)?))
                 }
             };
-            let submit = |renderer: &mut Renderer, time_s: f64| {
+            let mut submit = |renderer: &mut Renderer, time_s: f64| {
                 Ok(resident.submit(
                     renderer,
                     time_s,
                     &self.schedule.cameras(self.workload.background(), time_s),
                 )?)
             };
-            let driven = self.schedule.drive(&mut renderer, submit)?;
+            let driven = self.schedule.drive(&mut renderer, &mut submit)?;
             let memory = self.gpu.memory();
             let by_stage = self.schedule.drive_by_stage(&mut renderer, submit)?;
             Measured {
@@ -191,10 +197,9 @@ impl<'a> TestRig<'a> {
             return self.images_of_copies(options, count, kept);
         };
         let mut renderer = Renderer::new(self.gpu, options);
-        let resident = Resident::Live(Box::new(LiveScene::new(
-            &renderer,
-            self.workload.staged(count, coding),
-        )?));
+        let session = Session::on(self.gpu, &options.into());
+        let scene = session.add_scene(self.workload.staged(count, coding))?;
+        let mut resident = Resident::Coded(World::new(&scene));
         let mut images = Vec::new();
         for frame in self.schedule.sample_frames() {
             let time_s = self.schedule.time_s(frame);
@@ -308,7 +313,10 @@ fn out_of_memory(needed_bytes: u64, known: &'static str) -> Outcome {
 
 /// Outcome of a mode that cannot be rendered; `None` if the whole run has failed.
 fn refusal(error: &anyhow::Error) -> Option<Outcome> {
-    let error = error.downcast_ref::<RenderError>()?;
+    let error = match error.downcast_ref() {
+        Some(SessionError::Render(error)) => error,
+        _ => error.downcast_ref::<RenderError>()?,
+    };
     match error {
         RenderError::Gpu(GpuError::OutOfMemory {
             wanted_bytes,

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::layout::{AgentRecord, CLUSTER_SPLATS, ClusterRecord};
 use crate::range_allocator::RangeAllocator;
-use crate::resident::{Extent, cluster_of};
+use crate::resident_splats::{Extent, cluster_of};
 use crate::{RenderError, sh_codec};
 
 /// Purpose under which the memory of assets is counted.
@@ -56,7 +56,7 @@ pub(crate) struct Level {
 }
 
 impl Level {
-    pub fn chunks(&self) -> usize {
+    pub fn cluster_count(&self) -> usize {
         self.splats.div_ceil(CLUSTER_SPLATS)
     }
 }
@@ -409,7 +409,7 @@ fn levels_of(cloud: &CodedCloud, ranges: &Ranges) -> Vec<Level> {
             pitch_m: (area_m2 / splats.max(1) as f64).sqrt(),
         };
         first_splat += splats;
-        first_bounds += level.chunks();
+        first_bounds += level.cluster_count();
         level
     });
     levels.collect()

@@ -3,7 +3,7 @@
 use decouplegs_scene::Camera;
 
 use crate::output::Outputs;
-use crate::{GpuScene, RenderError, RenderOptions, Renderer};
+use crate::{RenderError, RenderOptions, Renderer, ResidentSplats};
 
 impl Renderer {
     /// The sum of each background splat's weights over all pixels of the frame that was finished
@@ -21,7 +21,7 @@ impl Renderer {
         Ok(steps.iter().map(|&steps| steps as f32 / scale).collect())
     }
 
-    /// Sums the blending weights T alpha of each splat of `gpu_scene` over all pixels of all
+    /// Sums the blending weights T alpha of each splat of `background` over all pixels of all
     /// `cameras`, by this renderer's rules.
     ///
     /// Cameras are drawn one after the other, with buffers of their own.
@@ -30,7 +30,7 @@ impl Renderer {
     /// Returns the errors of [`Renderer::render`].
     pub fn contribution_weights(
         &self,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         cameras: &[Camera],
     ) -> Result<Vec<f32>, RenderError> {
         let outputs = Outputs {
@@ -44,9 +44,9 @@ impl Renderer {
             ..*self.options()
         };
         let mut renderer = Self::new(self.gpu(), options);
-        let mut sums = vec![0.0f64; gpu_scene.splats];
+        let mut sums = vec![0.0f64; background.splats];
         for camera in cameras {
-            renderer.render(gpu_scene, std::slice::from_ref(camera))?;
+            renderer.render(background, std::slice::from_ref(camera))?;
             for (sum, weight) in sums.iter_mut().zip(renderer.read_contributions()?) {
                 *sum += f64::from(weight);
             }

@@ -36,7 +36,7 @@ pub(crate) fn record_agents(
     if let Some(shadows) = stages.shadows.as_ref().filter(|_| shadow_count > 0) {
         recorder.stage("shadows", |r| {
             slot.copy_shadows(r, shadow_count);
-            shadows.record(r, &contents.gpu_scene, &slot.shadows, shadow_count);
+            shadows.record(r, &contents.background, &slot.shadows, shadow_count);
         });
     }
     let (Some(agents), Some(list)) = (&stages.agents, &contents.agents) else {
@@ -73,7 +73,7 @@ pub(crate) fn record_frame(
 ) {
     let (r, common) = (recorder, &stages.common);
     let FrameInput { contents, keys, .. } = input;
-    let (gpu_scene, counters) = (&contents.gpu_scene, &frame.counters);
+    let (background, counters) = (&contents.background, &frame.counters);
     let lists = frame.shape.cameras * frame.shape.clusters;
 
     let (written, counted) = begin_buffers(frame, slot, input);
@@ -81,7 +81,7 @@ pub(crate) fn record_frame(
     if let Some(key_splats) = (common.key_splats.as_ref()).filter(|_| !keys.find.is_empty()) {
         r.stage("key splats", |r| {
             for &wanted in &keys.find {
-                key_splats.record(r, gpu_scene, views.cameras, wanted, &keys.kept);
+                key_splats.record(r, background, views.cameras, wanted, &keys.kept);
             }
         });
     }
@@ -90,7 +90,9 @@ pub(crate) fn record_frame(
     let (mut offsets, mut projected) = (&frame.offsets, &frame.projected);
     if input.lists != ListSource::Kept {
         let BackgroundStages { cull, project } = &stages.background;
-        let visible = r.stage("cull", |r| cull.record(r, gpu_scene, views, &frame.visible));
+        let visible = r.stage("cull", |r| {
+            cull.record(r, background, views, &frame.visible)
+        });
         offsets = r.stage("scan", |r| {
             common
                 .scan
@@ -108,7 +110,7 @@ pub(crate) fn record_frame(
             flow_interval_s: input.options.flow_interval_s as f32,
         };
         projected = r.stage("project", |r| {
-            project.record(r, gpu_scene, views, inputs, &frame.projected)
+            project.record(r, background, views, inputs, &frame.projected)
         });
     }
     if let Some(agents) = &stages.agents {
@@ -242,7 +244,7 @@ fn seen_agents<'a>(slot: &'a FrameInFlight, input: FrameInput<'a>) -> Option<See
         buffers: slot.agents(),
         relit: &slot.relit.colors,
         counts: list.counts,
-        fog: input.contents.gpu_scene.fog.as_ref(),
+        fog: input.contents.background.fog.as_ref(),
         flow_interval_s: input.options.flow_interval_s as f32,
     })
 }
@@ -263,7 +265,7 @@ fn record_images(
         .map(|_| slot.images.with_color_in(&frame.blended));
     let target = Target {
         images: blended.as_ref().unwrap_or(&slot.images),
-        sky: contents.gpu_scene.sky,
+        sky: contents.background.sky,
     };
     blend_images(recorder, &stages.images, planned, target);
     let Some(post_process) = &stages.post_process else {
@@ -276,7 +278,7 @@ fn record_images(
             cameras: planned.views.cameras,
             photometry,
             views: &contents.processed,
-            sky: contents.gpu_scene.sky_map.as_ref(),
+            sky: contents.background.sky_map.as_ref(),
         };
         post_process.record(r, inputs, &target.images.images_f32, &slot.images);
     });

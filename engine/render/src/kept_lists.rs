@@ -30,7 +30,7 @@ pub enum ListSource {
 /// beside the options of the renderer.
 #[derive(Clone)]
 pub(crate) struct Standing {
-    pub scene_id: u64,
+    pub background_id: u64,
     pub sky: [f32; 3],
     pub fog: Option<Fog>,
     pub cameras: Vec<CameraRecord>,
@@ -45,7 +45,7 @@ impl Standing {
         fn bytes<T: bytemuck::Pod>(records: &[T]) -> &[u8] {
             bytemuck::cast_slice(records)
         }
-        self.scene_id == other.scene_id
+        self.background_id == other.background_id
             && bytes(&self.sky) == bytes(&other.sky)
             && self.fog == other.fog
             && bytes(&self.cameras) == bytes(&other.cameras)

@@ -9,7 +9,7 @@ use decouplegs_scene::{DepthOrder, Rules};
 
 use crate::RenderError;
 use crate::layout::{CameraRecord, NO_KEY_SET, View};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::stages::{PURPOSE, WantedKeys};
 
 /// Source of the depth keys of one view's background.
@@ -77,11 +77,11 @@ impl KeyDecision {
     }
 }
 
-/// The persistent key buffer of one world. A frame changes a clone, which takes the place of the
-/// original once the frame was submitted: what was to be found may never be.
+/// The persistent key buffer of one background. A frame changes a clone, which takes the place of
+/// the original once the frame was submitted: what was to be found may never be.
 #[derive(Clone)]
 pub(crate) struct PersistentKeys {
-    scene_id: u64,
+    background_id: u64,
     keys: Buffer<u32>,
     sets: Vec<KeySet>,
     sets_max: usize,
@@ -94,7 +94,7 @@ impl PersistentKeys {
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
         let keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
         Ok(Self {
-            scene_id: 0,
+            background_id: 0,
             keys,
             sets: Vec::new(),
             sets_max: 0,
@@ -112,18 +112,18 @@ impl PersistentKeys {
     pub fn decide(
         &mut self,
         gpu: &Gpu,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         view: &View,
         rules: &Rules,
     ) -> Result<KeyDecision, RenderError> {
         let views = view.cameras.len();
-        let bytes = (gpu_scene.splats * views * 4) as u64;
+        let bytes = (background.splats * views * 4) as u64;
         let possible = bytes > 0 && bytes <= gpu.limits().storage_buffer_bytes_max;
         if rules.order == DepthOrder::Radial || !possible {
             return Ok(self.all_computed(views));
         }
         self.frame += 1;
-        self.fit(gpu, gpu_scene, views)?;
+        self.fit(gpu, background, views)?;
         let directions: Vec<Direction> = view.cameras.iter().map(Direction::from_camera).collect();
         let mut decision = self.all_computed(views);
         for (camera, direction) in directions.iter().enumerate() {
@@ -149,7 +149,7 @@ impl PersistentKeys {
             self.keys = gpu.buffer(
                 "kept_keys",
                 PURPOSE,
-                gpu_scene.splats * self.sets_max,
+                background.splats * self.sets_max,
                 MemoryKind::Device,
             )?;
         }
@@ -159,12 +159,17 @@ impl PersistentKeys {
     }
 
     /// Sets for as many views. What was kept of another world is forgotten.
-    fn fit(&mut self, gpu: &Gpu, gpu_scene: &GpuScene, views: usize) -> Result<(), RenderError> {
-        if self.scene_id != gpu_scene.id || self.sets_max < views {
+    fn fit(
+        &mut self,
+        gpu: &Gpu,
+        background: &ResidentSplats,
+        views: usize,
+    ) -> Result<(), RenderError> {
+        if self.background_id != background.id || self.sets_max < views {
             self.sets.clear();
             self.previous.clear();
             self.keys = gpu.buffer("kept_keys", PURPOSE, 0, MemoryKind::Device)?;
-            (self.scene_id, self.sets_max) = (gpu_scene.id, views);
+            (self.background_id, self.sets_max) = (background.id, views);
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Renderer: from a world to pixels.
+//! Renderer: from splats to pixels.
 //!
 //! [`Renderer`] draws on a GPU; [`mod@reference`] is the f64 definition of the same image, brute
 //! force on the CPU, and [`metrics`] measures one against the other. `frame.rs` lists the stages of
@@ -22,7 +22,7 @@ mod output;
 mod plane;
 mod range_allocator;
 mod renderer;
-mod resident;
+mod resident_splats;
 mod slot;
 mod statistics;
 mod submitted;
@@ -36,7 +36,7 @@ pub mod stages;
 pub mod storage;
 pub mod twins;
 
-pub use agents::{Agent, Scene};
+pub use agents::{Agent, FrameAgents, FrameSplats};
 pub use asset_pool::{AssetId, AssetPool, PoolBuffers, SHAPE_WORDS, stored_shape};
 pub use capacity::Capacity;
 pub use error::RenderError;
@@ -52,5 +52,5 @@ pub use options::{FrameStatistics, QueueTrace, RenderOptions};
 pub use output::{ColorFormat, OutputBuffers, Outputs};
 pub use plane::{Plane, PlaneMap, PlaneType, PlaneValues, Planes};
 pub use renderer::Renderer;
-pub use resident::GpuScene;
+pub use resident_splats::ResidentSplats;
 pub use storage::Storage;

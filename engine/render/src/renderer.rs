@@ -1,4 +1,4 @@
-//! Draws worlds: the public face of the frame.
+//! Draws frames: their public interface.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -7,7 +7,8 @@ use decouplegs_gpu::{Gpu, QueueRole, Recorder, Ticket};
 use decouplegs_scene::{Camera, DepthOrder, DetailLevels, SplatScene};
 
 use crate::agents::relit::Relights;
-use crate::agents::{AgentList, Scene};
+use crate::agents::{AgentList, FrameSplats};
+use crate::asset_pool::AssetPool;
 use crate::capacity::Capacity;
 use crate::frame::{FrameInput, record_agents, record_frame};
 use crate::frame_buffers::{FrameBuffers, FrameShape};
@@ -20,7 +21,7 @@ use crate::layout::{View, near_m};
 use crate::options::{FrameStatistics, RenderOptions};
 use crate::output::OutputBuffers;
 use crate::post_processing::{PhotometryRecord, RayTables};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::slot::FrameInFlight;
 use crate::stages::{AgentVariant, CameraVariant, ProjectVariant, RecordContents};
 use crate::submitted::{FrameContents, ShownFrame, SubmittedFrame};
@@ -33,7 +34,7 @@ const SPLATS_MAX: usize = 1 << 27;
 /// it hid.
 const ATTEMPTS_MAX: u32 = 6;
 
-/// Draws worlds on one device with one set of options. Buffers are kept from frame to frame and
+/// Draws frames on one device with one set of options. Buffers are kept from frame to frame and
 /// grow as needed.
 pub struct Renderer {
     gpu: Gpu,
@@ -54,7 +55,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer on `gpu`. Kernels are built when the first world of a kind is drawn.
+    /// A renderer on `gpu`. Kernels are built when the first frame of a kind is drawn.
     #[must_use]
     pub fn new(gpu: &Gpu, options: RenderOptions) -> Self {
         Self {
@@ -103,7 +104,7 @@ impl Renderer {
     ///
     /// # Errors
     /// Returns an error if it has too many splats, or the device not the memory.
-    pub fn upload(&self, splat_scene: &SplatScene) -> Result<GpuScene, RenderError> {
+    pub fn upload(&self, splat_scene: &SplatScene) -> Result<ResidentSplats, RenderError> {
         let splats = match self.options.background_pitch_px {
             None => splat_scene.splats.len(),
             Some(_) => DetailLevels::splats_at_most(splat_scene.splats.len()),
@@ -115,12 +116,14 @@ impl Renderer {
             });
         }
         match self.options.background_pitch_px {
-            None => GpuScene::upload(&self.gpu, splat_scene, self.options.storage),
-            Some(_) => GpuScene::upload_with_levels(&self.gpu, splat_scene, self.options.storage),
+            None => ResidentSplats::upload(&self.gpu, splat_scene, self.options.storage),
+            Some(_) => {
+                ResidentSplats::upload_with_levels(&self.gpu, splat_scene, self.options.storage)
+            }
         }
     }
 
-    /// Draws `scene` for all `cameras` in one submission and waits for the images.
+    /// Draws `splats` for all `cameras` in one submission and waits for the images.
     ///
     /// They stay on the device until the next call; [`Renderer::read_images`] fetches them. Frames
     /// submitted before are finished first, and what they took is dropped.
@@ -130,17 +133,17 @@ impl Renderer {
     /// or was lost.
     pub fn render<'a>(
         &mut self,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         cameras: &[Camera],
     ) -> Result<FrameStatistics, RenderError> {
         while !self.in_flight.is_empty() {
             self.finish()?;
         }
-        self.submit(scene, cameras)?;
+        self.submit(splats, cameras)?;
         self.finish()
     }
 
-    /// Submits the frame that shows `scene` to all `cameras`, and returns without waiting for it.
+    /// Submits the frame that shows `splats` to all `cameras`, and returns without waiting for it.
     /// Frames are finished in the order submitted, by [`Renderer::finish`].
     ///
     /// # Errors
@@ -148,11 +151,11 @@ impl Renderer {
     /// frames are in flight already.
     pub fn submit<'a>(
         &mut self,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         cameras: &[Camera],
     ) -> Result<(), RenderError> {
-        let (scene, since) = (scene.into(), Instant::now());
-        let mut contents = self.prepare(&scene, cameras)?;
+        let (splats, since) = (splats.into(), Instant::now());
+        let mut contents = self.prepare(&splats, cameras)?;
         let mut keys = match &self.keys {
             Some(keys) => keys.clone(),
             None => PersistentKeys::new(&self.gpu)?,
@@ -160,7 +163,7 @@ impl Renderer {
         let decision = if self.options.keep_keys {
             keys.decide(
                 &self.gpu,
-                scene.gpu_scene,
+                splats.background,
                 &contents.view,
                 &self.options.rules,
             )?
@@ -170,9 +173,9 @@ impl Renderer {
         let index = self.free_slot(contents.view.pixels)?;
         let slot = &mut self.slots[index];
         let images = (&self.options.outputs, &self.image_pool);
-        slot.load(&self.gpu, images, &scene, &mut contents)?;
+        slot.load(&self.gpu, images, &splats, &mut contents)?;
         slot.staged_key_sets.write_host(0, &decision.sets);
-        let added = scene.agents.and_then(|(pool, _)| pool.last_upload());
+        let added = splats.pool.and_then(AssetPool::last_upload);
         let update = self.submit_agents(index, &contents, added)?;
         let record_start = Instant::now();
         let (frame, capacity, lists) =
@@ -204,38 +207,38 @@ impl Renderer {
         Ok(())
     }
 
-    /// Contents of the frame that draws `scene` for `cameras`, without colors of relit agents.
+    /// Contents of the frame that draws `splats` for `cameras`, without colors of relit agents.
     fn prepare(
         &mut self,
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         cameras: &[Camera],
     ) -> Result<FrameContents, RenderError> {
         let options = self.options;
-        scene.check_motions(cameras, self.flow_interval_s())?;
+        splats.check_motions(cameras, self.flow_interval_s())?;
         let view = View::new(
             cameras,
-            scene.gpu_scene.origin,
-            self.distance_max_m(scene, cameras)?,
+            splats.background.origin,
+            self.distance_max_m(splats, cameras)?,
         )
         .map_err(RenderError::View)?;
         let near_m = near_m(&options.rules);
-        let agents = AgentList::new(scene, cameras, &view, near_m, options.level_pitch_px)?;
+        let agents = AgentList::new(splats, cameras, &view, near_m, options.level_pitch_px)?;
         let (mut processed, mut photometry) = (Vec::new(), Vec::new());
-        if scene.gpu_scene.is_post_processed(cameras) {
-            let sky = scene.gpu_scene.sky_map.as_ref();
+        if splats.background.is_post_processed(cameras) {
+            let sky = splats.background.sky_map.as_ref();
             processed = self.ray_tables.seen_by(&self.gpu, sky, cameras)?;
             let calibrations = cameras
                 .iter()
-                .map(|camera| scene.gpu_scene.photometry_of(camera));
+                .map(|camera| splats.background.photometry_of(camera));
             photometry.extend(calibrations.map(|own| PhotometryRecord::new(&own)));
         }
         let mut contents = FrameContents {
-            gpu_scene: scene.gpu_scene.clone(),
-            variant: self.variant(scene, &view, agents.as_ref(), !processed.is_empty()),
+            background: splats.background.clone(),
+            variant: self.variant(splats, &view, agents.as_ref(), !processed.is_empty()),
             view,
             agents,
             relights: Relights::default(),
-            shadow_count: scene.shadows.len(),
+            shadow_count: splats.agents.shadows.len(),
             processed,
             photometry,
             standing: None,
@@ -246,10 +249,10 @@ impl Renderer {
         Ok(contents)
     }
 
-    /// Specialization of the frame that shows `scene` to the cameras of `view`.
+    /// Specialization of the frame that shows `splats` to the cameras of `view`.
     fn variant(
         &self,
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         view: &View,
         list: Option<&AgentList>,
         post_processed: bool,
@@ -258,35 +261,35 @@ impl Renderer {
         let labels = RecordContents::for_outputs(&options.outputs).labels;
         FrameVariant {
             background: ProjectVariant {
-                sh_degree: scene.gpu_scene.sh_degree.min(options.sh_degree_max),
+                sh_degree: splats.background.sh_degree.min(options.sh_degree_max),
                 labels,
-                instances: scene.gpu_scene.has_instances
+                instances: splats.background.has_instances
                     && options.outputs.planes.contains(Plane::Instance),
                 splat_ids: options.outputs.contributions,
-                shadows: !scene.shadows.is_empty(),
-                shadows_by_camera: scene.shadow_cameras.is_some(),
+                shadows: !splats.agents.shadows.is_empty(),
+                shadows_by_camera: !splats.agents.shadow_cameras.is_empty(),
                 cameras: CameraVariant::for_cameras(&view.cameras, &view.lenses),
                 planes: options.outputs.planes,
-                fog: scene.gpu_scene.fog.is_some(),
-                storage: scene.gpu_scene.storage,
+                fog: splats.background.fog.is_some(),
+                storage: splats.background.storage,
             },
             post_processed,
             // That of all assets, in view or not: building kernels in the middle of a drive
             // would stall it.
-            agents: scene
-                .agents
-                .and_then(|(pool, _)| pool.sh_degree())
+            agents: splats
+                .pool
+                .and_then(AssetPool::sh_degree)
                 .map(|degree| AgentVariant {
                     sh_degree: degree.min(options.sh_degree_max),
                     labels,
-                    relit: scene.relights(),
-                    shaded: scene.shades(),
+                    relit: splats.agents.relights(),
+                    shaded: splats.agents.shades(),
                     cameras: CameraVariant::for_cameras(
                         list.map_or(&[], |list| &list.cameras),
                         &view.lenses,
                     ),
                     planes: options.outputs.planes,
-                    fog: scene.gpu_scene.fog.is_some(),
+                    fog: splats.background.fog.is_some(),
                 }),
         }
     }
@@ -413,13 +416,17 @@ impl Renderer {
         }
     }
 
-    /// No depth of the scene is larger, meters.
-    fn distance_max_m(&self, scene: &Scene<'_>, cameras: &[Camera]) -> Result<f64, RenderError> {
-        let distance_max_m = scene.distance_max_m()?;
+    /// No depth is larger, meters.
+    fn distance_max_m(
+        &self,
+        splats: &FrameSplats<'_>,
+        cameras: &[Camera],
+    ) -> Result<f64, RenderError> {
+        let distance_max_m = splats.distance_max_m()?;
         // Distances count from the camera, depths from the origin.
         Ok(if self.options.rules.order == DepthOrder::Radial {
             let from_origin = |camera: &Camera| {
-                (camera.world_from_camera.translation - scene.gpu_scene.origin).length()
+                (camera.world_from_camera.translation - splats.background.origin).length()
             };
             cameras.iter().map(from_origin).fold(0.0, f64::max) + distance_max_m
         } else {
@@ -516,7 +523,7 @@ impl Renderer {
                 .capacity
                 .unwrap_or_else(|| Capacity::guess(contents.splats(), view.cameras.len())),
             cameras: view.cameras.len(),
-            clusters: contents.gpu_scene.cluster_count(),
+            clusters: contents.background.cluster_count(),
             bins: view.bins,
             blended_pixels: match contents.processed.is_empty() {
                 true => 0,

@@ -5,7 +5,7 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, MemoryKind, Recorder};
 use decouplegs_scene::GroundShadow;
 
 use crate::RenderError;
-use crate::agents::Scene;
+use crate::agents::FrameSplats;
 use crate::agents::relit::RelitCodebooks;
 use crate::agents::staged_agents::StagedAgents;
 use crate::images::taken::SharedImagePool;
@@ -115,31 +115,31 @@ impl FrameInFlight {
         self.room.0
     }
 
-    /// Writes what a frame shows, with the shadows of `scene`. The frame before in this slot must
+    /// Writes what a frame shows, with the shadows of `splats`. The frame before in this slot must
     /// be done.
     pub fn load(
         &mut self,
         gpu: &Gpu,
         (outputs, pool): (&Outputs, &SharedImagePool),
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         contents: &mut FrameContents,
     ) -> Result<(), RenderError> {
         let view = &contents.view;
-        let splats = scene.gpu_scene.splats;
-        let room = (view.pixels, splats * usize::from(outputs.contributions));
+        let count = splats.background.splats;
+        let room = (view.pixels, count * usize::from(outputs.contributions));
         if self.room != room {
             // The old ones go first: both would not always fit.
             self.give_images();
             self.images = match pool.find(room) {
                 Some(waiting) => waiting,
-                None => OutputBuffers::new(gpu, view.pixels, splats, outputs)?,
+                None => OutputBuffers::new(gpu, view.pixels, count, outputs)?,
             };
             self.room = room;
         }
         self.staged_cameras.write_host(0, &view.cameras);
         self.staged_lenses.write_host(0, &view.lenses);
         self.staged_photometry.write_host(0, &contents.photometry);
-        self.load_shadows(gpu, scene)?;
+        self.load_shadows(gpu, splats)?;
         if let Some(list) = &mut contents.agents {
             self.agents.fit(gpu, list.counts)?;
             let wanted: Vec<_> = list
@@ -156,9 +156,10 @@ impl FrameInFlight {
         Ok(())
     }
 
-    fn load_shadows(&mut self, gpu: &Gpu, scene: &Scene<'_>) -> Result<(), RenderError> {
-        let (gpu_scene, shadows, cameras) = (scene.gpu_scene, scene.shadows, scene.shadow_cameras);
-        let (room, clusters) = (self.shadow_room, gpu_scene.cluster_count());
+    fn load_shadows(&mut self, gpu: &Gpu, splats: &FrameSplats<'_>) -> Result<(), RenderError> {
+        let (background, shadows) = (splats.background, &splats.agents.shadows);
+        let cameras = &splats.agents.shadow_cameras;
+        let (room, clusters) = (self.shadow_room, background.cluster_count());
         if shadows.len() > room.0 || clusters > room.1 {
             let wanted = if shadows.len() > room.0 {
                 shadows.len() + shadows.len() / 4
@@ -171,8 +172,8 @@ impl FrameInFlight {
             self.shadow_room = (wanted, clusters);
         }
         let record = |(index, shadow): (usize, &GroundShadow)| ShadowRecord {
-            cameras: cameras.map_or(u32::MAX, |cameras| cameras[index]),
-            ..ShadowRecord::new(shadow, gpu_scene.origin)
+            cameras: cameras.get(index).copied().unwrap_or(u32::MAX),
+            ..ShadowRecord::new(shadow, background.origin)
         };
         let records: Vec<ShadowRecord> = shadows.iter().enumerate().map(record).collect();
         self.staged_shadows.write_host(0, &records);

@@ -12,12 +12,12 @@ use crate::kernels::FrameVariant;
 use crate::keys::KeyDecision;
 use crate::layout::View;
 use crate::post_processing::{PhotometryRecord, ProcessedView};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::stages::AgentCounts;
 
 /// Contents of a frame, as the host prepared them.
 pub(crate) struct FrameContents {
-    pub gpu_scene: GpuScene,
+    pub background: ResidentSplats,
     pub view: View,
     pub variant: FrameVariant,
     pub agents: Option<AgentList>,
@@ -43,9 +43,9 @@ impl FrameContents {
     /// background: they move.
     pub fn find_standing(&self) -> Option<Standing> {
         (self.shadow_count == 0).then(|| Standing {
-            scene_id: self.gpu_scene.id,
-            sky: self.gpu_scene.sky,
-            fog: self.gpu_scene.fog,
+            background_id: self.background.id,
+            sky: self.background.sky,
+            fog: self.background.fog,
             cameras: self.view.cameras.clone(),
             lenses: self.view.lenses.clone(),
             background: self.variant.background,
@@ -55,7 +55,7 @@ impl FrameContents {
 
     /// Splats of background and agents.
     pub fn splats(&self) -> usize {
-        self.gpu_scene.splats + self.agents.as_ref().map_or(0, |list| list.splats)
+        self.background.splats + self.agents.as_ref().map_or(0, |list| list.splats)
     }
 }
 

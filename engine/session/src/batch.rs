@@ -3,15 +3,15 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use decouplegs_render::FrameAgents;
 use decouplegs_render::layout::CAMERAS_MAX;
-use decouplegs_render::{Agent, Scene};
-use decouplegs_scene::{Camera, GroundShadow};
+use decouplegs_scene::Camera;
 use glam::DVec3;
 
 use super::batch_renderer::WorldView;
 use super::world::SharedAgents;
-use super::{SessionError, SessionScene, World};
-use crate::{AgentInstance, LiveScene};
+use super::{Scene, SessionError, World};
+use crate::AgentInstance;
 
 /// Some cameras of one view, with the agents that they see.
 struct Part {
@@ -35,7 +35,7 @@ impl Part {
 /// Contents of one frame: cameras over one background. It owns all it needs, so that a frame can
 /// wait for its turn after the caller's worlds have moved on.
 pub(super) struct Batch {
-    pub scene: Arc<SessionScene>,
+    pub scene: Arc<Scene>,
     /// Cameras, in the order of the frame's images.
     pub cameras: Vec<Camera>,
     parts: Vec<Part>,
@@ -76,13 +76,6 @@ pub(super) fn batches(
     Ok(batches)
 }
 
-/// The agents of a batch, each seen by the cameras of its world.
-pub(super) struct AgentBatch {
-    agents: Vec<Agent>,
-    shadows: Vec<GroundShadow>,
-    shadow_cameras: Option<Vec<u32>>,
-}
-
 impl Batch {
     fn add(&mut self, view: usize, world: &World, camera: &Camera) {
         self.cameras.push(camera.clone());
@@ -111,31 +104,19 @@ impl Batch {
     }
 
     /// Agents of all views as one list, lit, each with the mask of its cameras.
-    pub fn lit_agents(&self, live: &LiveScene) -> AgentBatch {
-        let mut batch = AgentBatch {
-            agents: Vec::new(),
-            shadows: Vec::new(),
-            shadow_cameras: None,
-        };
-        let mut shadow_cameras = Vec::new();
+    pub fn frame_agents(&self) -> FrameAgents {
+        let mut all = FrameAgents::default();
         let mut first = 0;
         for parts in self.parts.chunk_by(Part::is_of_world_of) {
             for run in runs(parts, &mut first) {
-                let moment = live.placed(&run.agents);
-                batch
-                    .agents
-                    .extend(moment.agents.into_iter().map(|agent| Agent {
-                        cameras: run.cameras,
-                        ..agent
-                    }));
-                shadow_cameras.extend(std::iter::repeat_n(run.cameras, moment.shadows.len()));
-                batch.shadows.extend(moment.shadows);
+                all.add_for_cameras(self.scene.lit(&run.agents), run.cameras);
             }
         }
         // One world needs no masks, and kernels without them are the faster ones.
-        batch.shadow_cameras =
-            (self.parts.len() > 1 && !shadow_cameras.is_empty()).then_some(shadow_cameras);
-        batch
+        if self.parts.len() == 1 {
+            all.shadow_cameras.clear();
+        }
+        all
     }
 }
 
@@ -176,15 +157,4 @@ fn runs(parts: &[Part], first: &mut usize) -> Vec<Run> {
         agents: agents.to_vec(),
     });
     all.filter(|run| run.cameras != 0).collect()
-}
-
-impl AgentBatch {
-    /// The background of `live` with these agents.
-    pub fn over<'a>(&'a self, live: &'a LiveScene) -> Scene<'a> {
-        Scene {
-            shadows: &self.shadows,
-            shadow_cameras: self.shadow_cameras.as_deref(),
-            ..Scene::with_agents(&live.gpu_scene, &live.pool, &self.agents)
-        }
-    }
 }

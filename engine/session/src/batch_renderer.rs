@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 
 use decouplegs_gpu::Gpu;
 use decouplegs_render::{
-    Agent, ColorFormat, FrameStatistics, Image, ImageBytes, LidarOptions, LidarRenderer, LidarView,
-    RenderOptions, Renderer, Scene, TakenImages, TracedSweep,
+    ColorFormat, FrameAgents, FrameSplats, FrameStatistics, Image, ImageBytes, LidarOptions,
+    LidarRenderer, LidarView, RenderOptions, Renderer, TakenImages, TracedSweep,
 };
 use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar, Rules};
 
 use super::batch::{Batch, batches};
-use super::{RigSweep, SessionError, SessionOptions, SessionScene, World};
+use super::{RigSweep, Scene, SessionError, SessionOptions, World};
 use crate::AgentInstance;
 
 /// A world, and the cameras that look at it.
@@ -119,7 +119,7 @@ impl BatchRenderer {
     }
 
     /// Index of the renderer for `scene`, made at the first use of its rules.
-    fn renderer_of(&mut self, scene: &SessionScene) -> usize {
+    fn renderer_of(&mut self, scene: &Scene) -> usize {
         let rules = self.rules.unwrap_or(scene.rules());
         self.renderers
             .iter()
@@ -328,20 +328,21 @@ impl BatchRenderer {
             },
             ..agent
         };
-        let live = world.scene().live();
-        let agents_of = |sweep: &RigSweep| -> Vec<Agent> {
+        let scene = world.scene();
+        let agents_of = |sweep: &RigSweep| {
             let placed = world.present_agents();
             let placed: Vec<_> = placed.map(|agent| at_start(agent, sweep.world_s)).collect();
-            live.unlit(&placed).collect()
+            scene.unlit(&placed)
         };
-        let agents: Vec<Vec<Agent>> = sweeps.iter().map(agents_of).collect();
+        let agents: Vec<FrameAgents> = sweeps.iter().map(agents_of).collect();
+        let resources = scene.resources();
         let views = sweeps.iter().zip(&agents).map(|(sweep, agents)| LidarView {
-            scene: Scene::with_agents(&live.gpu_scene, &live.pool, agents),
+            splats: FrameSplats::with_agents(scene.background(), &resources.pool, agents),
             lidar: &sweep.lidar,
             mode: sweep.mode,
         });
         let views: Vec<LidarView> = views.collect();
-        let rules = self.rules.unwrap_or(world.scene().rules());
+        let rules = self.rules.unwrap_or(scene.rules());
         let mut built = self.lidars.iter();
         let index = built.position(|renderer| renderer.options().rules == rules);
         let index = index.unwrap_or_else(|| {
@@ -388,9 +389,9 @@ impl BatchRenderer {
             if self.bakes_light_on_demand {
                 batch.scene.ready_light(&batch.agent_positions());
             }
-            let live = batch.scene.live();
-            let lit = batch.lit_agents(&live);
-            self.renderers[*renderer].submit(lit.over(&live), &batch.cameras)?;
+            let renderer = &mut self.renderers[*renderer];
+            let draw = |splats: FrameSplats<'_>| renderer.submit(splats, &batch.cameras);
+            batch.scene.lend(&batch.frame_agents(), draw)?;
             self.in_flight += 1;
         }
         Ok(())

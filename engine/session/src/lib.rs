@@ -35,36 +35,30 @@
 
 mod batch;
 mod batch_renderer;
-mod live_scene;
 mod movable_scene;
 mod png;
 mod rig_renderer;
+mod scene;
 mod world;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, Weak};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-use decouplegs_asset::{
-    AssetError, Layer, LoadedAgent, LoadedScene, open_scene, read_coded, usual_up,
-};
+use decouplegs_asset::{AssetError, Layer, LoadedScene, open_scene, usual_up};
 use decouplegs_gpu::{DeviceOptions, Gpu, GpuError};
 use decouplegs_render::rendered_image::ImageError;
 use decouplegs_render::{ColorFormat, Outputs, RenderError, RenderOptions, Renderer};
-use decouplegs_scene::{Camera, Framing, Rig, Rules, Trajectory};
+use decouplegs_scene::Rules;
 use glam::DVec3;
 
 pub use batch_renderer::{BatchRenderer, HostImages, WorldView};
 pub use decouplegs_render::{TracedSweep, hash_bytes};
-pub use live_scene::{AgentInstance, LiveScene, SceneSnapshot};
 pub use movable_scene::{measure_movable_scene, open_movable_scene};
 pub use png::save_png;
 pub use rig_renderer::{RigRenderer, RigSweep};
+pub use scene::{AgentInstance, Scene};
 pub use world::{World, WorldAgent};
-
-/// Probes of light that a scene keeps at most, about 110 bytes each: agents that are sent anywhere
-/// at all must not fill the memory. Light elsewhere is summed up anew in every frame.
-const PROBES_MAX: usize = 1 << 18;
 
 /// Reason why a session could not serve a request.
 #[derive(Debug, thiserror::Error)]
@@ -160,7 +154,7 @@ pub struct SessionOptions {
     /// The rules that all scenes are drawn by. None: each by its own, as its scene file says.
     pub rules: Option<Rules>,
     /// True if light is baked, and kept, wherever agents come: fast for agents that are sent
-    /// anywhere. False: light is interpolated where the scene or [`SessionScene::bake_light`] baked
+    /// anywhere. False: light is interpolated where the scene or [`Scene::bake_light`] baked
     /// it, and summed up exactly elsewhere, so that no image depends on what was drawn before.
     pub bakes_light_on_demand: bool,
 }
@@ -188,31 +182,23 @@ impl Default for SessionOptions {
     }
 }
 
+impl From<RenderOptions> for SessionOptions {
+    /// A session whose renderers draw as `render` says, all else as by default.
+    fn from(render: RenderOptions) -> Self {
+        Self {
+            render,
+            ..Self::default()
+        }
+    }
+}
+
 /// A device and the scenes on it. Share it by reference or in an [`Arc`]; all its methods may be
 /// called from any thread.
 pub struct Session {
     gpu: Gpu,
     options: SessionOptions,
     /// Scenes in use, by path.
-    scenes: Mutex<BTreeMap<PathBuf, Weak<SessionScene>>>,
-}
-
-/// A scene on the device. It stays there as long as it is held.
-pub struct SessionScene {
-    gpu: Gpu,
-    rules: Rules,
-    rig: Rig,
-    ego: Trajectory,
-    agents: Vec<LoadedAgent>,
-    /// Indices in `agents`.
-    agent_by_name: HashMap<String, usize>,
-    /// Names of agents of plain splats, which are part of the background.
-    plain_agents: Vec<String>,
-    /// Sphere that shows all; `None` where the rig has cameras, or no splat can be seen.
-    framing: Option<Framing>,
-    /// The direction that is mostly up in its file.
-    usual_up: DVec3,
-    live: RwLock<LiveScene>,
+    scenes: Mutex<BTreeMap<PathBuf, Weak<Scene>>>,
 }
 
 impl Session {
@@ -251,7 +237,7 @@ impl Session {
     ///
     /// # Errors
     /// Returns an error if a file is missing or wrong, or the device has not the memory.
-    pub fn open_scene(&self, path: &Path) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn open_scene(&self, path: &Path) -> Result<Arc<Scene>, SessionError> {
         let key = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         if let Some(scene) = self.held(&key) {
             return Ok(scene);
@@ -269,7 +255,7 @@ impl Session {
         Ok(scene)
     }
 
-    fn held(&self, key: &Path) -> Option<Arc<SessionScene>> {
+    fn held(&self, key: &Path) -> Option<Arc<Scene>> {
         self.scenes
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
@@ -281,12 +267,13 @@ impl Session {
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, or an asset cannot be drawn.
-    pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn add_scene(&self, loaded: &LoadedScene) -> Result<Arc<Scene>, SessionError> {
         self.add_layer(loaded, Layer::All)
     }
 
     /// [`Session::add_scene`], of what belongs to `layer`: all, the background without agents and
-    /// their shadows, or the agents over nothing, in the light of the background.
+    /// their shadows, or the agents over nothing, in the light of the background. Agents over
+    /// nothing still throw shadows: these lie on agents of plain splats, as in the full image.
     ///
     /// # Errors
     /// Returns the errors of [`Session::add_scene`].
@@ -294,7 +281,7 @@ impl Session {
         &self,
         loaded: &LoadedScene,
         layer: Layer,
-    ) -> Result<Arc<SessionScene>, SessionError> {
+    ) -> Result<Arc<Scene>, SessionError> {
         self.add(loaded, layer, DVec3::Z)
     }
 
@@ -303,163 +290,15 @@ impl Session {
         loaded: &LoadedScene,
         layer: Layer,
         usual_up: DVec3,
-    ) -> Result<Arc<SessionScene>, SessionError> {
+    ) -> Result<Arc<Scene>, SessionError> {
         let renderer = Renderer::new(&self.gpu, self.options.render);
-        let live = LiveScene::layer(&renderer, loaded, layer)?;
-        let agents = live.agents().to_vec();
-        let agent_by_name: HashMap<String, usize> = agents
-            .iter()
-            .enumerate()
-            .map(|(index, agent)| (agent.name.clone(), index))
-            .collect();
-        // Who drives a rig frames nothing, and need not wait for it.
-        let has_cameras = loaded.rig.cameras().next().is_some();
-        let splats = &loaded.splat_scene;
-        let framing = if has_cameras {
-            None
-        } else {
-            Framing::from_splats(&splats.splats, splats.origin)
-        };
-        Ok(Arc::new(SessionScene {
-            framing,
-            usual_up,
-            gpu: self.gpu.clone(),
-            rules: loaded.splat_scene.rules,
-            rig: loaded.rig.clone(),
-            ego: loaded.ego.clone(),
-            plain_agents: live.plain_agents().to_vec(),
-            agents,
-            agent_by_name,
-            live: RwLock::new(live),
-        }))
+        let scene = Scene::new(&renderer, loaded, layer, usual_up)?;
+        Ok(Arc::new(scene))
     }
 
     /// A renderer of worlds of this session, as [`SessionOptions::render`] says.
     #[must_use]
     pub fn batch_renderer(&self) -> BatchRenderer {
         BatchRenderer::new(&self.gpu, &self.options)
-    }
-}
-
-impl SessionScene {
-    /// Bakes the light probes around `positions`, world coordinates, so that frames with agents
-    /// there need not wait for them.
-    pub fn bake_light(&self, positions: impl IntoIterator<Item = DVec3>) {
-        self.live_mut().bake_light(positions);
-    }
-
-    /// The rules of image formation that the scene file names.
-    #[must_use]
-    pub fn rules(&self) -> Rules {
-        self.rules
-    }
-
-    /// The ego vehicle's cameras; none for a splat file.
-    #[must_use]
-    pub fn rig(&self) -> &Rig {
-        &self.rig
-    }
-
-    /// A camera that shows all splats of a scene without cameras: of the middle 90 % of them on
-    /// each axis. It is a pinhole called "framed", whose image is of `size_px`, width and height.
-    /// It stands towards `direction`, with `up` up in the image. What is not given is as `render`
-    /// has it: -y is up for splat files, z for scenes, and the camera looks down a little. `None`
-    /// where the rig has cameras, no splat can be seen, a size is 0, or the directions span no
-    /// frame.
-    #[must_use]
-    pub fn frame(
-        &self,
-        size_px: [u32; 2],
-        direction: Option<DVec3>,
-        up: Option<DVec3>,
-    ) -> Option<Camera> {
-        let up = up.map_or(Some(self.usual_up), DVec3::try_normalize)?;
-        let direction = direction.unwrap_or_else(|| Framing::direction_above(up, 0.0));
-        let camera = self.framing?.camera("framed", size_px, direction, up)?;
-        camera.intrinsics.check().is_ok().then_some(camera)
-    }
-
-    /// Trajectory of the ego vehicle from the scene file.
-    #[must_use]
-    pub fn ego(&self) -> &Trajectory {
-        &self.ego
-    }
-
-    /// The agents of the scene file that can be moved, with which a [`World`] begins.
-    #[must_use]
-    pub fn agents(&self) -> &[LoadedAgent] {
-        &self.agents
-    }
-
-    /// The agents of plain splats, which stand where they are.
-    #[must_use]
-    pub fn plain_agents(&self) -> &[String] {
-        &self.plain_agents
-    }
-
-    /// The agent of the scene file called `name`.
-    pub(crate) fn agent(&self, name: &str) -> Option<&LoadedAgent> {
-        self.agent_by_name
-            .get(name)
-            .map(|&index| &self.agents[index])
-    }
-
-    /// True if it is on the device `gpu`.
-    pub(crate) fn is_on(&self, gpu: &Gpu) -> bool {
-        self.gpu.is(gpu)
-    }
-
-    /// Assets that agents may show.
-    #[must_use]
-    pub fn asset_count(&self) -> usize {
-        self.live().asset_count()
-    }
-
-    /// Length, width and height of an asset's box, meters, whose center is the asset's origin.
-    ///
-    /// # Errors
-    /// Returns an error if there is no such asset.
-    pub fn asset_dims_m(&self, asset: usize) -> Result<[f32; 3], SessionError> {
-        let live = self.live();
-        live.asset_dims_m(asset).ok_or(SessionError::NoAsset {
-            asset,
-            count: live.asset_count(),
-        })
-    }
-
-    /// Copies another compressed asset (`.safetensors`) to the device, for all worlds over this
-    /// scene; returns its number.
-    ///
-    /// # Errors
-    /// Returns an error if the file is missing or wrong, or the device has not the memory.
-    pub fn add_asset(&self, path: &Path) -> Result<usize, SessionError> {
-        let asset = read_coded(path)?;
-        Ok(self.live_mut().add_asset(&asset.cloud)?)
-    }
-
-    /// True if images of `cameras` are post-processed.
-    pub(crate) fn is_post_processed(&self, cameras: &[Camera]) -> bool {
-        self.live().gpu_scene.is_post_processed(cameras)
-    }
-
-    /// Splats of the background.
-    #[must_use]
-    pub fn background_splats(&self) -> usize {
-        self.live().gpu_scene.splats
-    }
-
-    /// Sums up the light about `positions`, so that frames find it ready.
-    pub(crate) fn ready_light(&self, positions: &[DVec3]) {
-        if !self.live().has_light_at(positions, PROBES_MAX) {
-            self.live_mut().bake_light(positions.iter().copied());
-        }
-    }
-
-    pub(crate) fn live(&self) -> RwLockReadGuard<'_, LiveScene> {
-        self.live.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn live_mut(&self) -> RwLockWriteGuard<'_, LiveScene> {
-        self.live.write().unwrap_or_else(PoisonError::into_inner)
     }
 }

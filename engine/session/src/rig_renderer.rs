@@ -8,7 +8,7 @@ use decouplegs_render::TracedSweep;
 use decouplegs_scene::lidar::ReturnMode;
 use decouplegs_scene::{Camera, Lidar};
 
-use super::{BatchRenderer, HostImages, Session, SessionError, SessionScene, World, WorldView};
+use super::{BatchRenderer, HostImages, Scene, Session, SessionError, World, WorldView};
 
 /// Pixels of a camera that take about as long as one beam of a LiDAR. Six cameras and two LiDARs
 /// are divided alike for any number between 8 and 40.
@@ -39,7 +39,7 @@ pub struct RigRenderer {
 }
 
 struct RigDevice {
-    scene: Arc<SessionScene>,
+    scene: Arc<Scene>,
     renderer: BatchRenderer,
     images: HostImages,
     sweeps: Vec<TracedSweep>,
@@ -75,10 +75,10 @@ impl RigRenderer {
     /// # Panics
     /// Panics if there is no session, or not one scene for each.
     #[must_use]
-    pub fn new(sessions: &[Session], scenes: Vec<Arc<SessionScene>>) -> Self {
+    pub fn new(sessions: &[Session], scenes: Vec<Arc<Scene>>) -> Self {
         assert!(!sessions.is_empty(), "a rig is drawn by one device or more");
         assert_eq!(sessions.len(), scenes.len(), "each session has its scene");
-        let device = |(session, scene): (&Session, Arc<SessionScene>)| RigDevice {
+        let device = |(session, scene): (&Session, Arc<Scene>)| RigDevice {
             scene,
             renderer: session.batch_renderer(),
             images: HostImages::default(),
@@ -93,7 +93,7 @@ impl RigRenderer {
 
     /// The scene on the first device, over which worlds are made.
     #[must_use]
-    pub fn scene(&self) -> &Arc<SessionScene> {
+    pub fn scene(&self) -> &Arc<Scene> {
         &self.devices[0].scene
     }
 

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use decouplegs_render::{FrameAgents, FrameSplats};
 use decouplegs_scene::{Motion, Pose, ShFrame};
 
-use super::{SessionError, SessionScene};
+use super::{Scene, SessionError};
 use crate::AgentInstance;
 
 /// Agents have ids from 1 to this.
@@ -28,7 +29,7 @@ pub struct WorldAgent {
 /// the agents are not.
 #[derive(Clone)]
 pub struct World {
-    scene: Arc<SessionScene>,
+    scene: Arc<Scene>,
     agents: Vec<WorldAgent>,
     /// World that it is a view of, until its agents change.
     shared: Option<SharedAgents>,
@@ -46,7 +47,7 @@ pub(super) struct SharedAgents {
 impl World {
     /// The agents of the scene file, where they are at time 0.
     #[must_use]
-    pub fn new(scene: &Arc<SessionScene>) -> Self {
+    pub fn new(scene: &Arc<Scene>) -> Self {
         let agent = |agent: &decouplegs_asset::LoadedAgent| WorldAgent {
             name: agent.name.clone(),
             placed: AgentInstance::from_agent(agent, 0.0),
@@ -61,7 +62,7 @@ impl World {
 
     /// The background alone.
     #[must_use]
-    pub fn empty(scene: &Arc<SessionScene>) -> Self {
+    pub fn empty(scene: &Arc<Scene>) -> Self {
         Self {
             agents: Vec::new(),
             scene: scene.clone(),
@@ -73,7 +74,7 @@ impl World {
     ///
     /// # Errors
     /// Returns an error if `scene` lacks an asset that an agent shows.
-    pub fn over(&self, scene: &Arc<SessionScene>) -> Result<Self, SessionError> {
+    pub fn over(&self, scene: &Arc<Scene>) -> Result<Self, SessionError> {
         let count = scene.asset_count();
         let assets = self.agents.iter().map(|agent| agent.placed.asset);
         if let Some(asset) = assets.into_iter().find(|asset| *asset >= count) {
@@ -88,7 +89,7 @@ impl World {
 
     /// The scene that it is over.
     #[must_use]
-    pub fn scene(&self) -> &Arc<SessionScene> {
+    pub fn scene(&self) -> &Arc<Scene> {
         &self.scene
     }
 
@@ -96,6 +97,17 @@ impl World {
     #[must_use]
     pub fn agents(&self) -> &[WorldAgent] {
         &self.agents
+    }
+
+    /// Agents that images show and the shadows that they throw, in the light of the scene.
+    #[must_use]
+    pub fn frame_agents(&self) -> FrameAgents {
+        self.scene.lit(&self.present_agents().collect::<Vec<_>>())
+    }
+
+    /// Lends what images show to `draw`, as [`Scene::lend`] does.
+    pub fn lend<T>(&self, draw: impl FnOnce(FrameSplats<'_>) -> T) -> T {
+        self.scene.lend(&self.frame_agents(), draw)
     }
 
     /// Agents that images show.

@@ -4,8 +4,11 @@ use decouplegs::AgentInstance;
 use decouplegs::asset::LoadedScene;
 use decouplegs::gpu::DeviceOptions;
 use decouplegs::render::TracedSweep;
-use decouplegs::render::reference::lidar::{LidarScene64, SplatGroup};
-use decouplegs::render::{Agent, AssetPool, GpuScene, LidarOptions, LidarRenderer, Scene, Storage};
+use decouplegs::render::reference::lidar::{LidarSplats64, SplatGroup};
+use decouplegs::render::{
+    Agent, AssetPool, FrameAgents, FrameSplats, LidarOptions, LidarRenderer, ResidentSplats,
+    Storage,
+};
 use decouplegs::scene::lidar::{LidarModel, PointFrame, ReturnMode, ReturnOptions, Spin};
 use decouplegs::scene::{Motion, Pose, Rules};
 use decouplegs::session::{RigSweep, Session, SessionError, SessionOptions, World};
@@ -64,7 +67,8 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
     let traced = renderer.trace(&world, &lidar, sweep_s, mode).unwrap();
 
     // The same as a renderer finds, which is given the agent at the start.
-    let resident = GpuScene::upload(session.gpu(), &loaded.splat_scene, Storage::Exact).unwrap();
+    let resident =
+        ResidentSplats::upload(session.gpu(), &loaded.splat_scene, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(session.gpu()).unwrap();
     let asset = pool.add(&loaded.assets[0]).unwrap();
     let agents = [Agent {
@@ -72,7 +76,8 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
         ..Agent::new(asset, at_end.moved(&motion, -sweep_s), 5)
     }];
     let mut own = LidarRenderer::new(session.gpu(), LidarOptions::default());
-    let with_agents = Scene::with_agents(&resident, &pool, &agents);
+    let frame_agents = FrameAgents::new(&agents[..]);
+    let with_agents = FrameSplats::with_agents(&resident, &pool, &frame_agents);
     assert!(traced.states == own.trace(with_agents, &lidar, mode).unwrap().states);
 
     // Points on the car are in its box at their own time, and outside of it at the end.
@@ -124,7 +129,7 @@ fn agents_are_where_they_are_at_the_time_of_each_beam() {
 /// as a share of the latter, and the number of beams that meet some.
 fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (f64, usize) {
     let world = surroundings(0, 1);
-    let resident = GpuScene::upload(gpu, &world, Storage::Exact).unwrap();
+    let resident = ResidentSplats::upload(gpu, &world, Storage::Exact).unwrap();
     let mut pool = AssetPool::new(gpu).unwrap();
     let mut agents = Vec::new();
     for &(pose, seed) in listed {
@@ -144,7 +149,7 @@ fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (
     };
     let mut groups = vec![group(&world.splats, Pose::IDENTITY)];
     groups.extend(decoded.iter().map(|(pose, splats)| group(splats, *pose)));
-    let truth = LidarScene64 {
+    let truth = LidarSplats64 {
         groups,
         rules: Rules::DEFAULT,
     };
@@ -152,7 +157,8 @@ fn missed(gpu: &Validated, listed: &[(Pose, u64)], defined: &[(Pose, u64)]) -> (
     let (mut worst, mut met) = (0.0f64, 0);
     for (_, model) in models() {
         let lidar = lidar_at(model, DVec3::ZERO, Motion::REST);
-        let scene = Scene::with_agents(&resident, &pool, &agents);
+        let frame_agents = FrameAgents::new(&agents[..]);
+        let scene = FrameSplats::with_agents(&resident, &pool, &frame_agents);
         let traced = renderer.trace(scene, &lidar, ReturnMode::Median).unwrap();
         let hits = truth.hits(&lidar, &traced.beams);
         for (state, hit) in traced.states.iter().zip(&hits) {

@@ -54,7 +54,7 @@ const CAMERA_AXES: (&str, &str) = ("carla-driver-interface-contract", "2");
 pub struct Egodriver {
     address: DriverAddress,
     options: DriverOptions,
-    patience: Timeouts,
+    timeouts: Timeouts,
     runtime: Runtime,
     client: EgodriverServiceClient<Channel>,
     version: String,
@@ -79,7 +79,7 @@ impl Egodriver {
     pub fn open(
         address: &DriverAddress,
         options: &DriverOptions,
-        patience: Timeouts,
+        timeouts: Timeouts,
     ) -> Result<Self, PlannerError> {
         options
             .check()
@@ -92,7 +92,7 @@ impl Egodriver {
         let endpoint = Endpoint::from_shared(address.uri())
             .map_err(|error| failed(error.to_string()))?
             .tcp_nodelay(true)
-            .connect_timeout(patience.hello);
+            .connect_timeout(timeouts.hello);
         // A lazy channel belongs to the runtime that is entered.
         let channel = {
             let _entered = runtime.enter();
@@ -102,15 +102,15 @@ impl Egodriver {
             .max_decoding_message_size(MESSAGE_BYTES_MAX)
             .max_encoding_message_size(MESSAGE_BYTES_MAX);
         let asked = runtime.block_on(async {
-            tokio::time::timeout(patience.hello, client.get_version(Empty {})).await
+            tokio::time::timeout(timeouts.hello, client.get_version(Empty {})).await
         });
         let version = asked
-            .map_err(|_| failed(late("get_version", patience.hello)))?
+            .map_err(|_| failed(late("get_version", timeouts.hello)))?
             .map_err(|status| failed(refused("get_version", &status)))?;
         Ok(Self {
             address: address.clone(),
             options: options.clone(),
-            patience,
+            timeouts,
             runtime,
             client,
             version: printable(&version.into_inner().version_id),
@@ -132,7 +132,7 @@ impl Egodriver {
             &mut EgodriverServiceClient<Channel>,
         ) -> Result<T, (&'static str, Status)>,
     ) -> Result<T, PlannerError> {
-        let limit = self.patience.answer;
+        let limit = self.timeouts.answer;
         let client = &mut self.client;
         let asked = self
             .runtime

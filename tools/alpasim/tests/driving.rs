@@ -66,7 +66,7 @@ fn png(bytes: &[u8]) -> ([u32; 2], Vec<u8>) {
     ([frame.width, frame.height], pixels)
 }
 
-fn patience(answer: Duration) -> Timeouts {
+fn timeouts(answer: Duration) -> Timeouts {
     Timeouts {
         hello: Duration::from_secs(10),
         answer,
@@ -74,7 +74,7 @@ fn patience(answer: Duration) -> Timeouts {
 }
 
 fn open(address: &DriverAddress, options: &DriverOptions) -> Egodriver {
-    Egodriver::open(address, options, patience(Duration::from_secs(20))).unwrap()
+    Egodriver::open(address, options, timeouts(Duration::from_secs(20))).unwrap()
 }
 
 fn driven(manner: Manner, duration_s: f64, options: &DriverOptions) -> (Driven, FakeDriver) {
@@ -233,7 +233,7 @@ fn a_driver_that_fails_ends_its_episode_with_a_sentence() {
     ];
     for (manner, expected) in cases {
         let (address, driver) = FakeDriver::start(manner);
-        let limit = patience(Duration::from_millis(300));
+        let limit = timeouts(Duration::from_millis(300));
         let mut planner = Egodriver::open(&address, &DriverOptions::default(), limit).unwrap();
         let begin = Instant::now();
         for _ in 0..2 {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use decouplegs::asset::LoadedAgent;
 use decouplegs::scene::{Pose, Rig, RigCamera};
-use decouplegs::session::{Session, SessionScene};
+use decouplegs::session::{Scene, Session};
 
 use crate::arguments::{give_text, one, out, out_handle, text};
 use crate::boundary::{Call, guarded};
@@ -21,7 +21,7 @@ pub struct DgsScene(());
 /// Object behind a scene handle. Several may stand for the same scene.
 pub struct HeldScene {
     pub session: Arc<Session>,
-    pub scene: Arc<SessionScene>,
+    pub scene: Arc<Scene>,
 }
 
 pub static SCENES: Registry<HeldScene> = Registry::new("scene");
@@ -60,7 +60,7 @@ unsafe fn read<T>(
     scene: *const DgsScene,
     what: &str,
     pointer: *mut T,
-    read: impl FnOnce(&SessionScene) -> Result<T, Failure>,
+    read: impl FnOnce(&Scene) -> Result<T, Failure>,
 ) -> DgsStatus {
     guarded(|call| {
         let held = SCENES.find(call, scene)?;
@@ -127,7 +127,7 @@ pub unsafe extern "C" fn dgs_scene_camera_at(
     time_s: f64,
     camera: *mut DgsCamera,
 ) -> DgsStatus {
-    let at = |scene: &SessionScene| camera_on(scene, index, &scene.ego().at(moment(time_s)?));
+    let at = |scene: &Scene| camera_on(scene, index, &scene.ego().at(moment(time_s)?));
     // SAFETY: as the header asks of all pointers.
     unsafe { read(scene, "camera", camera, at) }
 }
@@ -140,7 +140,7 @@ pub unsafe extern "C" fn dgs_scene_camera_on(
     ego: *const DgsPose,
     camera: *mut DgsCamera,
 ) -> DgsStatus {
-    let on = |scene: &SessionScene| {
+    let on = |scene: &Scene| {
         // SAFETY: as the header asks of all pointers; a pose is of numbers.
         let ego = unsafe { one("ego", ego) }?;
         camera_on(scene, index, &ego.to_pose("the ego")?)
@@ -149,7 +149,7 @@ pub unsafe extern "C" fn dgs_scene_camera_on(
     unsafe { read(scene, "camera", camera, on) }
 }
 
-fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure> {
+fn rig_camera(scene: &Scene, index: usize) -> Result<&RigCamera, Failure> {
     let mut cameras = scene.rig().cameras();
     let missing = || {
         Failure::not_found(format!(
@@ -160,7 +160,7 @@ fn rig_camera(scene: &SessionScene, index: usize) -> Result<&RigCamera, Failure>
     cameras.nth(index).ok_or_else(missing)
 }
 
-fn camera_on(scene: &SessionScene, index: usize, ego: &Pose) -> Result<DgsCamera, Failure> {
+fn camera_on(scene: &Scene, index: usize, ego: &Pose) -> Result<DgsCamera, Failure> {
     let rig = Rig::from_iter([rig_camera(scene, index)?.clone()]);
     DgsCamera::from_camera(&rig.at(ego)[0])
 }
@@ -251,7 +251,7 @@ pub unsafe extern "C" fn dgs_scene_agent_at(
     time_s: f64,
     agent: *mut DgsAgent,
 ) -> DgsStatus {
-    let at = |scene: &SessionScene| {
+    let at = |scene: &Scene| {
         let agent = loaded_agent(scene, index)?;
         let pose = DgsPose::from_pose(&agent.trajectory.at(moment(time_s)?));
         Ok(DgsAgent {
@@ -272,7 +272,7 @@ pub unsafe extern "C" fn dgs_scene_agent_present_at(
     time_s: f64,
     present: *mut u32,
 ) -> DgsStatus {
-    let at = |scene: &SessionScene| {
+    let at = |scene: &Scene| {
         let agent = loaded_agent(scene, index)?;
         Ok(agent.present.includes(moment(time_s)?).into())
     };
@@ -280,7 +280,7 @@ pub unsafe extern "C" fn dgs_scene_agent_present_at(
     unsafe { read(scene, "present", present, at) }
 }
 
-fn loaded_agent(scene: &SessionScene, index: usize) -> Result<&LoadedAgent, Failure> {
+fn loaded_agent(scene: &Scene, index: usize) -> Result<&LoadedAgent, Failure> {
     let agents = scene.agents();
     let missing = || {
         Failure::not_found(format!(
@@ -324,7 +324,7 @@ pub unsafe extern "C" fn dgs_scene_add_asset(
     path: *const c_char,
     asset: *mut u32,
 ) -> DgsStatus {
-    let add = |scene: &SessionScene| {
+    let add = |scene: &Scene| {
         // SAFETY: as the header asks of all pointers.
         let path = unsafe { text("path", path) }?;
         Ok(scene.add_asset(Path::new(path))? as u32)

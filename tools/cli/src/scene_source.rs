@@ -123,8 +123,8 @@ pub fn absolute(path: &Path) -> String {
     absolute.display().to_string()
 }
 
-/// A scene and the cameras that look at it.
-pub struct Scene {
+/// Input of a command that draws: a scene that was read, and the cameras that look at it.
+pub struct DrawInput {
     /// Loaded scene, with the requested rules.
     pub loaded: LoadedScene,
     /// The moment that the cameras stand at, seconds.
@@ -176,7 +176,7 @@ fn choose(rig: &mut Rig, names: &Path) -> Result<()> {
     Ok(())
 }
 
-impl Scene {
+impl DrawInput {
     pub fn open(arguments: &SceneArguments) -> Result<Self> {
         Self::with_options(&arguments.scene, &arguments.options)
     }

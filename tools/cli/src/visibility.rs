@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use decouplegs_gpu::Gpu;
-use decouplegs_render::{GpuScene, Outputs, RenderError, RenderOptions, Renderer};
+use decouplegs_render::{Outputs, RenderError, RenderOptions, Renderer, ResidentSplats};
 use decouplegs_scene::{Camera, SplatCloud, SplatScene};
 
 use crate::progress;
@@ -42,16 +42,16 @@ pub fn visibility(gpu: &Gpu, cloud: &SplatCloud, cameras: &[Camera]) -> Result<V
     Ok(weights)
 }
 
-/// For each splat of `gpu_scene` the mean over `cameras` of its contributions.
+/// For each splat of `background` the mean over `cameras` of its contributions.
 fn mean_contributions(
     renderer: &mut Renderer,
-    gpu_scene: &GpuScene,
+    background: &ResidentSplats,
     cameras: &[Camera],
 ) -> Result<Vec<f32>, RenderError> {
     let bar = progress::bar("visibility", cameras.len());
-    let mut sums = vec![0.0f64; gpu_scene.splats];
+    let mut sums = vec![0.0f64; background.splats];
     for run in cameras.chunks(CAMERAS_AT_ONCE) {
-        renderer.render(gpu_scene, run)?;
+        renderer.render(background, run)?;
         sums.iter_mut()
             .zip(renderer.read_contributions()?)
             .for_each(|(sum, weight)| *sum += f64::from(weight));

@@ -111,7 +111,7 @@ impl Pool {
             let waiting = self.0.get_mut(&name.to_string()).and_then(Vec::pop);
             let planner = match waiting {
                 Some(planner) => planner,
-                None => name.open(arguments.patience(), &arguments.driver)?,
+                None => name.open(arguments.timeouts(), &arguments.driver)?,
             };
             Ok((name.to_string(), planner))
         })

@@ -11,7 +11,7 @@ use decouplegs::drive::score::{EpisodeScore, Quantity, quantities};
 use decouplegs::episode::{Moment, Moments, Site, camera_named};
 use decouplegs::scene::episode::Episode;
 use decouplegs::scene::{Camera, Pose, RayMap, Rig, RoadUser};
-use decouplegs::session::SessionScene;
+use decouplegs::session::Scene;
 use glam::{DVec2, DVec3};
 
 use self::canvas::Canvas;
@@ -45,7 +45,7 @@ impl<'a> Overlays<'a> {
     ///
     /// # Errors
     /// Returns an error if the episode has no images, or cannot be replayed in `site`.
-    pub fn new(episode: &'a Episode, site: &Arc<Site>, scene: &Arc<SessionScene>) -> Result<Self> {
+    pub fn new(episode: &'a Episode, site: &Arc<Site>, scene: &Arc<Scene>) -> Result<Self> {
         let head = &episode.head;
         let drawn_by = head
             .drawn_by

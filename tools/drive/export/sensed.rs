@@ -12,8 +12,7 @@ use decouplegs::scene::episode::Episode;
 use decouplegs::scene::lidar::ReturnOptions;
 use decouplegs::scene::{Camera, LidarSweep, Motion, Pose, Rig, RoadUser};
 use decouplegs::session::{
-    AgentInstance, BatchRenderer, HostImages, Session, SessionOptions, SessionScene, World,
-    WorldView,
+    AgentInstance, BatchRenderer, HostImages, Scene, Session, SessionOptions, World, WorldView,
 };
 
 /// Readings and labels of one step.
@@ -112,9 +111,9 @@ pub struct Renderers {
     color: BatchRenderer,
     labels: BatchRenderer,
     images: HostImages,
-    scene: Arc<SessionScene>,
+    scene: Arc<Scene>,
     /// Agents of the scene over nothing.
-    alone: Arc<SessionScene>,
+    alone: Arc<Scene>,
 }
 
 impl Renderers {
@@ -143,7 +142,7 @@ impl Renderers {
     }
 
     /// Scene of the place.
-    pub fn scene(&self) -> &Arc<SessionScene> {
+    pub fn scene(&self) -> &Arc<Scene> {
         &self.scene
     }
 

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use anyhow::{Context, Result};
-use decouplegs::render::{LidarRenderer, Scene};
+use decouplegs::render::{FrameSplats, LidarRenderer};
 use decouplegs::scene::lidar::{Beam, ReturnMode, ReturnOptions};
 use decouplegs::scene::{LidarModel, Pose};
 use glam::DVec3;
@@ -40,13 +40,13 @@ pub struct ExtraReturns {
 
 impl EmptyBeams {
     /// Traces the beams of `model` that have no point among `points_m`, all fired at
-    /// `world_from_lidar` at once, through `scene`.
+    /// `world_from_lidar` at once, through `splats`.
     ///
     /// # Errors
     /// Returns an error if the device has not the memory or was lost.
     pub fn new<'a>(
         lidars: &mut LidarRenderer,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         (model, points_m): (&LidarModel, &[DVec3]),
         world_from_lidar: Pose,
     ) -> Result<Self> {
@@ -57,7 +57,7 @@ impl EmptyBeams {
         if !rays.is_empty() {
             let lidar = fired_at_once(rays, model.range_m, world_from_lidar);
             let traced = lidars
-                .trace(scene, &lidar, ReturnMode::Median)
+                .trace(splats, &lidar, ReturnMode::Median)
                 .context("the beams without a point in the scan cannot be traced")?;
             let sweep = traced.returns(&ReturnOptions::for_model(&lidar.model));
             let found = sweep.returns.iter();

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use decouplegs::asset::LoadedScene;
-use decouplegs::render::Renderer;
 use decouplegs::render::rendered_image::{Image, ImageFileFormat, distance_color};
+use decouplegs::render::{FrameSplats, Renderer};
 use decouplegs::scene::lidar::PointFrame;
 use decouplegs::scene::{Camera, LidarSweep};
-use decouplegs::session::LiveScene;
+use decouplegs::session::World;
 
 use crate::arguments::write_image;
 
@@ -26,16 +26,16 @@ const RANGES_HEIGHT_PX: usize = 160;
 /// Writes previews of sweeps.
 pub struct Previews<'a> {
     renderer: Renderer,
-    live: &'a LiveScene,
+    world: World,
     loaded: &'a LoadedScene,
 }
 
 impl<'a> Previews<'a> {
     /// Previews of a scene, whose images `renderer` draws.
-    pub fn new(renderer: Renderer, live: &'a LiveScene, loaded: &'a LoadedScene) -> Self {
+    pub fn new(renderer: Renderer, world: World, loaded: &'a LoadedScene) -> Self {
         Self {
             renderer,
-            live,
+            world,
             loaded,
         }
     }
@@ -48,11 +48,14 @@ impl<'a> Previews<'a> {
         ];
         let end_s = time_s + sweep.lidar.model.sweep_s;
         let cameras = self.loaded.rig.driving(&self.loaded.ego, end_s);
-        let snapshot = self.live.at(end_s);
+        self.world.set_time(end_s);
+        let agents = self.world.frame_agents();
         // One by one: the images of a whole rig may be more than a buffer holds.
         for camera in &cameras {
-            let scene = self.live.with(&snapshot);
-            self.renderer.render(scene, std::slice::from_ref(camera))?;
+            let render = |splats: FrameSplats<'_>| {
+                self.renderer.render(splats, std::slice::from_ref(camera))
+            };
+            self.world.scene().lend(&agents, render)?;
             for image in self.renderer.read_images()? {
                 previews.push((camera.name.clone(), over_image(sweep, camera, image)));
             }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use decouplegs::asset::Scan;
 use decouplegs::render::rendered_image::{Image, distance_color};
-use decouplegs::render::{LidarRenderer, Scene, TracedSweep};
+use decouplegs::render::{FrameSplats, LidarRenderer, TracedSweep};
 use decouplegs::scene::lidar::{Beam, LidarPattern, ReturnMode, ReturnOptions};
 use decouplegs::scene::{Lidar, LidarModel, Motion, Pose};
 use glam::DVec3;
@@ -117,13 +117,13 @@ impl RangeErrors {
 }
 
 impl ScanComparison {
-    /// Traces the beams of `scan`, fired at `world_from_lidar` all at once, through `scene`.
+    /// Traces the beams of `scan`, fired at `world_from_lidar` all at once, through `splats`.
     ///
     /// # Errors
     /// Returns an error if the pose makes no sense, or the device has not the memory or was lost.
     pub fn new<'a>(
         lidars: &mut LidarRenderer,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         scan: &Scan,
         world_from_lidar: Pose,
     ) -> Result<Self> {
@@ -139,7 +139,7 @@ impl ScanComparison {
         let rays = (0..).zip(&points).map(beam).collect();
         let lidar = fired_at_once(rays, [0.0, 1e5], world_from_lidar);
         let traced = lidars
-            .trace(scene, &lidar, ReturnMode::Median)
+            .trace(splats, &lidar, ReturnMode::Median)
             .context("the beams of the scan cannot be traced")?;
         Ok(Self::of_sweep(&points, &traced))
     }
@@ -151,12 +151,12 @@ impl ScanComparison {
     pub fn with_empty_beams<'a>(
         mut self,
         lidars: &mut LidarRenderer,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         (model, scan): (&LidarModel, &Scan),
         world_from_lidar: Pose,
     ) -> Result<Self> {
         let given = (model, scan.points_m.as_slice());
-        self.empty = Some(EmptyBeams::new(lidars, scene, given, world_from_lidar)?);
+        self.empty = Some(EmptyBeams::new(lidars, splats, given, world_from_lidar)?);
         Ok(self)
     }
 

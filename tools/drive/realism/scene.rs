@@ -17,7 +17,7 @@ use decouplegs::render::rendered_image::ImageFileFormat;
 use decouplegs::render::{LidarOptions, LidarRenderer, RenderOptions, Renderer};
 use decouplegs::scene::Camera;
 use decouplegs::scene::scenario::Place;
-use decouplegs::session::LiveScene;
+use decouplegs::session::{Session, World};
 
 use super::detections::{Agreement, Detections};
 use super::detector::{Detector, DetectorArguments};
@@ -121,8 +121,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     arguments.background.apply_to(&mut options);
     let mut renderer = Renderer::new(&gpu, options);
-    let live = LiveScene::new(&renderer, &loaded)?;
-    let compared = compare_all(&found, &mut renderer, &live, &out.join("rendered"))?;
+    let session = Session::on(&gpu, &options.into());
+    let world = World::new(&session.add_scene(&loaded)?);
+    let compared = compare_all(&found, &mut renderer, &world, &out.join("rendered"))?;
     let detections = match (&mut detector, files) {
         (Some(detector), _) => Some(detected(detector, &compared)?),
         (None, Some([photographs, rendered])) => Some(ComparedDetections {
@@ -141,12 +142,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut lidars = lidars(&gpu, &loaded);
     let mut compared_scans = Vec::new();
     for (file, (scan, pose)) in arguments.scan.iter().zip(&scans) {
-        let still = live.at(0.0);
-        let mut comparison = ScanComparison::new(&mut lidars, live.with(&still), scan, *pose)?;
-        if let Some(sensor) = loaded.rig.lidars().next() {
-            let (scene, given) = (live.with(&still), (sensor.model.as_ref(), scan));
-            comparison = comparison.with_empty_beams(&mut lidars, scene, given, *pose)?;
-        }
+        let comparison = world.lend(|splats| {
+            let comparison = ScanComparison::new(&mut lidars, splats, scan, *pose)?;
+            let Some(sensor) = loaded.rig.lidars().next() else {
+                return Ok(comparison);
+            };
+            comparison.with_empty_beams(&mut lidars, splats, (&sensor.model, scan), *pose)
+        })?;
         let passed_s = || plans::nearest_s(&loaded.ego, pose.translation);
         let moving = moving_boxes(&tracks, file.time_s.unwrap_or_else(passed_s));
         points.add(&comparison, pose, &moving);
@@ -174,14 +176,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn compare_all(
     found: &[Found],
     renderer: &mut Renderer,
-    live: &LiveScene,
+    world: &World,
     folder: &Path,
 ) -> Result<Vec<Compared>> {
     fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
     let mut compared = Vec::new();
     let bar = progress::bar("photographs", found.len());
     for found in found {
-        let one = compare(found.read()?, renderer, live)?;
+        let one = compare(found.read()?, renderer, world)?;
         let file = folder.join(format!("{}.png", one.photograph.name));
         write_image(&file, &one.rendered, ImageFileFormat::Png)?;
         compared.push(one);
@@ -215,9 +217,9 @@ fn lidars(gpu: &Gpu, loaded: &LoadedScene) -> LidarRenderer {
 }
 
 /// The scene from the view of a photograph.
-fn compare(photograph: Photograph, renderer: &mut Renderer, live: &LiveScene) -> Result<Compared> {
+fn compare(photograph: Photograph, renderer: &mut Renderer, world: &World) -> Result<Compared> {
     let camera = std::slice::from_ref(&photograph.camera);
-    renderer.render(live.with(&live.at(0.0)), camera)?;
+    world.lend(|splats| renderer.render(splats, camera))?;
     let rendered = renderer.read_images()?.swap_remove(0);
     let name = &photograph.name;
     let difference =

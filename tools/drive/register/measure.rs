@@ -62,7 +62,7 @@ impl Measured {
         let measure = |(at, track): (usize, &Track)| {
             let truth = truth.and_then(|truth| truth.iter().find(|truth| truth.id == track.id));
             let usable = |point: &LanePoint| may_use(&track.class, map.lanes[point.lane].kind);
-            Scene {
+            References {
                 index: &index,
                 truth,
                 ground,
@@ -141,13 +141,13 @@ fn lane_offsets(registered: &Registered, positions: &[(f64, DVec2)]) -> Vec<(f64
 }
 
 /// References for the measurement of a track.
-struct Scene<'a> {
+struct References<'a> {
     index: &'a LaneIndex,
     truth: Option<&'a Track>,
     ground: Option<&'a Ground>,
 }
 
-impl Scene<'_> {
+impl References<'_> {
     fn measure(
         &self,
         track: &Track,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use decouplegs::session::SessionScene;
+use decouplegs::session::Scene as EngineScene;
 use glam::DVec3;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
@@ -16,7 +16,7 @@ use crate::pose::{pose_of, to_matrix};
 /// A scene on the device, which stays there as long as something of it is held.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Scene {
-    pub inner: Arc<SessionScene>,
+    pub inner: Arc<EngineScene>,
 }
 
 /// `cameras`, of `size_px` where it is given.

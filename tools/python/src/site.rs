@@ -8,7 +8,7 @@ use decouplegs::episode::{Appearance, Site as EngineSite};
 use decouplegs::logs::read_scenario;
 use decouplegs::scene::scenario::Place;
 use decouplegs::scene::{Level, Scenario, Weather};
-use decouplegs::session::SessionScene;
+use decouplegs::session::Scene as EngineScene;
 use pyo3::prelude::*;
 
 use crate::camera::RigCamera;
@@ -24,7 +24,7 @@ use crate::session::Session;
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Site {
     pub site: Arc<EngineSite>,
-    pub scene: Arc<SessionScene>,
+    pub scene: Arc<EngineScene>,
     place: Place,
     /// Scenario of a scenario file, if one was named.
     scenario: Option<Scenario>,

@@ -10,7 +10,7 @@ use decouplegs::scene::{AmbientDescriptor, ColorTransfer, SplatCloud, sh};
 use glam::{DQuat, DVec3};
 
 use super::body::Body;
-use super::skylight::{Environment, Scene, directions, environment, on_open_ground};
+use super::skylight::{BodyOnGround, Environment, directions, environment, on_open_ground};
 use crate::ablate::affine::best_on_dc;
 
 /// Half the side of the ground around a body, and the spacing of its splats, meters.
@@ -135,7 +135,7 @@ pub struct Row {
 /// A body in its capture.
 pub struct Subject {
     body: Body,
-    scene: Scene,
+    on_ground: BodyOnGround,
     /// Share of white light that reaches each surfel.
     open: Vec<f64>,
     captured: SplatCloud,
@@ -143,13 +143,13 @@ pub struct Subject {
 
 impl Subject {
     pub fn new(body: Body) -> Self {
-        let scene = Scene::new(&body);
-        let open = scene.in_white_light();
+        let on_ground = BodyOnGround::new(&body);
+        let open = on_ground.in_white_light();
         let white: Vec<[f64; 3]> = open.iter().map(|&open| [open; 3]).collect();
         let captured = shown(&body, &white);
         Self {
             body,
-            scene,
+            on_ground,
             open,
             captured,
         }
@@ -162,7 +162,7 @@ impl Subject {
     /// Colors as captured, by `relit` and by the best affine change, against the truth in
     /// `environment` over a ground of `albedo`.
     pub fn compare(&self, relit: &ColorTransfer, environment: &Environment, albedo: f64) -> Row {
-        let truth = shown(&self.body, &self.scene.lit(environment, albedo));
+        let truth = shown(&self.body, &self.on_ground.lit(environment, albedo));
         let weights: Vec<f32> = self.open.iter().map(|&open| open as f32).collect();
         let affine = best_on_dc(&self.captured, &truth, &weights);
         let found = |transfer: &ColorTransfer| {
@@ -188,7 +188,7 @@ impl Subject {
         albedo: f64,
     ) -> Row {
         let none = self.compare(&ColorTransfer::IDENTITY, environment, albedo);
-        let truth = shown(&self.body, &self.scene.lit(environment, albedo));
+        let truth = shown(&self.body, &self.on_ground.lit(environment, albedo));
         let mut lit = self.captured.clone();
         for (dc, surfel) in lit.sh_dc.iter_mut().zip(&self.body.surfels) {
             let gain = shading.gain(surfel.normal, surfel.position);

@@ -34,7 +34,7 @@ struct Seen {
 }
 
 /// A body on a matt ground: what each of its surfels, and each cell of the ground, sees.
-pub struct Scene {
+pub struct BodyOnGround {
     surfels: Vec<Seen>,
     cells: Vec<Seen>,
 }
@@ -74,7 +74,7 @@ impl Seen {
     }
 }
 
-impl Scene {
+impl BodyOnGround {
     pub fn new(body: &Body) -> Self {
         let directions = directions();
         let seen_from = |position: DVec3, normal: DVec3| {

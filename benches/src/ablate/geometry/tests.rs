@@ -14,7 +14,7 @@ use super::body::{Body, Surfel};
 use super::experiment::{Light, Row, Subject};
 use super::mesh;
 use super::rays::{Solid, Triangle};
-use super::skylight::{Scene, environment, on_open_ground};
+use super::skylight::{BodyOnGround, environment, on_open_ground};
 
 /// Display values of a reference ground at night, at dusk and by day; in white light it is 0.42.
 const DISPLAYS: [f64; 3] = [0.12, 0.25, 0.4];
@@ -73,7 +73,7 @@ fn open_surfaces_are_lit_by_the_cosine_law() {
         (DVec3::X, 0.2, 0.4 + 0.4 * 0.2),
         (DVec3::NEG_Z, 0.5, 0.4),
     ] {
-        let lit = Scene::new(&alone(normal, vec![])).lit(&sky, albedo)[0][1];
+        let lit = BodyOnGround::new(&alone(normal, vec![])).lit(&sky, albedo)[0][1];
         assert!(
             (lit - expected).abs() < 2e-3,
             "{normal}: {lit} for {expected}"
@@ -83,15 +83,15 @@ fn open_surfaces_are_lit_by_the_cosine_law() {
 
 #[test]
 fn a_wall_hides_half_the_sky_of_the_ground_at_its_foot() {
-    let scene = Scene::new(&alone(DVec3::Z, wall(-1e-3)));
-    let lit = scene.lit(&environment(&even(1.0), 0), 0.0)[0][0];
+    let on_ground = BodyOnGround::new(&alone(DVec3::Z, wall(-1e-3)));
+    let lit = on_ground.lit(&environment(&even(1.0), 0), 0.0)[0][0];
     assert!((lit - 0.5).abs() < 2e-3, "{lit}");
     // And a sun behind it altogether.
     let sun = Probe::from_fn("sun", 64, |direction| {
         [if direction.x < -0.5 { 1.0 } else { 0.0 }; 3]
     });
-    assert_eq!(scene.lit(&environment(&sun, 0), 0.0)[0][0], 0.0);
-    assert!(scene.lit(&environment(&sun, 2), 0.0)[0][0] > 0.1);
+    assert_eq!(on_ground.lit(&environment(&sun, 0), 0.0)[0][0], 0.0);
+    assert!(on_ground.lit(&environment(&sun, 2), 0.0)[0][0] > 0.1);
 }
 
 /// White light shows the capture; a quarter of it is off by what the display curve makes of it.

@@ -18,7 +18,7 @@ use crate::asset_pool::{Asset, AssetId, AssetPool, PoolBuffers};
 use crate::layout::{
     AgentRecord, CameraRecord, RelightRecord, ShadingRecord, View, check_motion, exposed_within_s,
 };
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::stages::AgentCounts;
 use crate::twins;
 
@@ -71,57 +71,106 @@ impl Agent {
     }
 }
 
-/// Scene of a frame: a background, and agents that may change with every frame.
-#[derive(Clone, Copy)]
-pub struct Scene<'a> {
-    /// The background.
-    pub gpu_scene: &'a GpuScene,
-    /// The assets that agents show, and the agents, in the order in which equal depths are drawn.
-    pub agents: Option<(&'a AssetPool, &'a [Agent])>,
-    /// Shadows on the ground of the background. They multiply, and need not be those of agents that
-    /// are drawn.
-    pub shadows: &'a [GroundShadow],
-    /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; `None`: all see all.
-    pub shadow_cameras: Option<&'a [u32]>,
+/// Agents of a frame, and shadows on the ground of its background.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameAgents {
+    /// Agents, in the order in which equal depths are drawn.
+    pub agents: Vec<Agent>,
+    /// Shadows. They multiply, and need not be those of agents that are drawn.
+    pub shadows: Vec<GroundShadow>,
+    /// Cameras that see each shadow, a bit each, as in [`Agent::cameras`]; empty: all see all.
+    pub shadow_cameras: Vec<u32>,
 }
 
-impl<'a> From<&'a GpuScene> for Scene<'a> {
-    fn from(gpu_scene: &'a GpuScene) -> Self {
+/// A frame without agents.
+static NO_AGENTS: FrameAgents = FrameAgents {
+    agents: Vec::new(),
+    shadows: Vec::new(),
+    shadow_cameras: Vec::new(),
+};
+
+impl FrameAgents {
+    /// `agents` without shadows.
+    #[must_use]
+    pub fn new(agents: impl Into<Vec<Agent>>) -> Self {
         Self {
-            gpu_scene,
-            agents: None,
-            shadows: &[],
-            shadow_cameras: None,
+            agents: agents.into(),
+            ..Self::default()
         }
     }
-}
 
-impl<'a> Scene<'a> {
-    /// A background with agents, without shadows.
-    #[must_use]
-    pub fn with_agents(gpu_scene: &'a GpuScene, pool: &'a AssetPool, agents: &'a [Agent]) -> Self {
-        Self {
-            gpu_scene,
-            agents: Some((pool, agents)),
-            shadows: &[],
-            shadow_cameras: None,
-        }
+    /// Appends `others`, which only the cameras of the bits in `cameras` see, with their shadows.
+    /// All shadows that were there before must have been added in this way.
+    pub fn add_for_cameras(&mut self, others: Self, cameras: u32) {
+        let masked = |agent: Agent| Agent { cameras, ..agent };
+        self.agents.extend(others.agents.into_iter().map(masked));
+        self.shadows.extend(others.shadows);
+        self.shadow_cameras.resize(self.shadows.len(), cameras);
     }
 
     /// True if some agent, in view or not, is relit.
     pub(crate) fn relights(&self) -> bool {
-        self.agents
-            .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.relight.is_some()))
+        self.agents.iter().any(|agent| agent.relight.is_some())
     }
 
     /// True if some agent, in view or not, is shaded by normals.
     pub(crate) fn shades(&self) -> bool {
-        self.agents
-            .is_some_and(|(_, agents)| agents.iter().any(|agent| agent.shading.is_some()))
+        self.agents.iter().any(|agent| agent.shading.is_some())
+    }
+
+    /// Checks the shadows.
+    fn check_shadows(&self) -> Result<(), RenderError> {
+        assert!(
+            self.shadow_cameras.is_empty() || self.shadow_cameras.len() == self.shadows.len(),
+            "{} shadows, and cameras for {}",
+            self.shadows.len(),
+            self.shadow_cameras.len()
+        );
+        self.shadows
+            .iter()
+            .enumerate()
+            .try_for_each(|(index, shadow)| {
+                shadow
+                    .check()
+                    .map_err(|reason| RenderError::Shadow { index, reason })
+            })
     }
 }
 
-impl Scene<'_> {
+/// Splats of a frame: a background, and agents that may change with every frame.
+#[derive(Clone, Copy)]
+pub struct FrameSplats<'a> {
+    pub(crate) background: &'a ResidentSplats,
+    /// Assets that agents show; `None`: there are no agents.
+    pub(crate) pool: Option<&'a AssetPool>,
+    pub(crate) agents: &'a FrameAgents,
+}
+
+impl<'a> From<&'a ResidentSplats> for FrameSplats<'a> {
+    fn from(background: &'a ResidentSplats) -> Self {
+        Self {
+            background,
+            pool: None,
+            agents: &NO_AGENTS,
+        }
+    }
+}
+
+impl<'a> FrameSplats<'a> {
+    /// A background with agents, whose assets are in `pool`.
+    #[must_use]
+    pub fn with_agents(
+        background: &'a ResidentSplats,
+        pool: &'a AssetPool,
+        agents: &'a FrameAgents,
+    ) -> Self {
+        Self {
+            background,
+            pool: Some(pool),
+            agents,
+        }
+    }
+
     /// Checks that the motions of `cameras` and agents can be projected during exposures, and up to
     /// `interval_s` before and after the moment.
     pub(crate) fn check_motions(
@@ -136,7 +185,7 @@ impl Scene<'_> {
             })?;
         }
         let longest_s = cameras.iter().map(within_s).fold(0.0, f64::max);
-        for agent in self.agents.iter().flat_map(|(_, agents)| agents.iter()) {
+        for agent in &self.agents.agents {
             check_motion(&agent.motion, longest_s).map_err(|reason| RenderError::AgentMotion {
                 instance: agent.instance,
                 reason,
@@ -147,25 +196,12 @@ impl Scene<'_> {
 
     /// No mean that is drawn is farther from the world's origin, meters.
     pub(crate) fn distance_max_m(&self) -> Result<f64, RenderError> {
-        let mut distance_max_m = self.gpu_scene.distance_max_m;
-        if let Some(cameras) = self.shadow_cameras {
-            assert!(
-                cameras.len() == self.shadows.len(),
-                "{} shadows, and cameras for {}",
-                self.shadows.len(),
-                cameras.len()
-            );
-        }
-        for (index, shadow) in self.shadows.iter().enumerate() {
-            shadow
-                .check()
-                .map_err(|reason| RenderError::Shadow { index, reason })?;
-        }
-        let (pool, agents) = match self.agents {
-            Some((pool, agents)) => (pool, agents),
-            None => return Ok(distance_max_m),
+        self.agents.check_shadows()?;
+        let mut distance_max_m = self.background.distance_max_m;
+        let Some(pool) = self.pool else {
+            return Ok(distance_max_m);
         };
-        for agent in agents {
+        for agent in &self.agents.agents {
             let pose = &agent.world_from_agent;
             if !(pose.translation.is_finite()
                 && pose.rotation.is_finite()
@@ -191,7 +227,7 @@ impl Scene<'_> {
                 });
             }
             distance_max_m = distance_max_m.max(
-                (pose.translation - self.gpu_scene.origin).length()
+                (pose.translation - self.background.origin).length()
                     + pool.asset(agent.asset)?.distance_max_m(),
             );
         }
@@ -221,25 +257,25 @@ pub(crate) struct AgentList {
 }
 
 impl AgentList {
-    /// The agents of `scene` for `cameras`, which `view` is made of; levels of detail are as coarse
-    /// as `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
+    /// The agents of `splats` for `cameras`, which `view` is made of; levels of detail are as
+    /// coarse as `level_pitch_px` lets neighboring splats be apart, the finest where it is `None`.
     ///
     /// `None` where no camera can see an agent.
     pub fn new(
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         cameras: &[Camera],
         view: &View,
         near_m: f32,
         level_pitch_px: Option<f64>,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = scene.agents else {
+        let Some(pool) = splats.pool else {
             return Ok(None);
         };
         let mut list = Self::empty(pool, cameras.len());
-        for agent in agents {
+        for agent in &splats.agents.agents {
             let asset = pool.asset(agent.asset)?;
             let records = view.cameras.iter().zip(cameras);
-            let origin = scene.gpu_scene.origin;
+            let origin = splats.background.origin;
             let may_see = |index: usize| agent.cameras >> index & 1 == 1;
             // Records of cameras that may not see it are never read.
             let moved = |(index, (record, camera)): (usize, (&CameraRecord, &Camera))| {
@@ -277,26 +313,26 @@ impl AgentList {
         Ok((list.counts.clusters > 0).then(|| list.padded()))
     }
 
-    /// The agents of `scene` at the finest level of detail, seen by all sectors of a sweep. Their
+    /// The agents of `splats` at the finest level of detail, seen by all sectors of a sweep. Their
     /// poses are those at the start of the sweep; sectors have them at `times_s`. `None` where
     /// there are none.
     pub fn of_sweep(
-        scene: &Scene<'_>,
+        splats: &FrameSplats<'_>,
         sectors: &[Camera],
         times_s: &[f64],
         view: &View,
     ) -> Result<Option<Self>, RenderError> {
-        let Some((pool, agents)) = scene.agents else {
+        let Some(pool) = splats.pool else {
             return Ok(None);
         };
         let mut list = Self::empty(pool, sectors.len());
         let all = u32::MAX >> (32 - sectors.len());
-        for agent in agents {
+        for agent in &splats.agents.agents {
             let seen_by = |index: usize| {
                 let pose = agent.world_from_agent.moved(&agent.motion, times_s[index]);
                 let (record, sector) = (&view.cameras[index], &sectors[index]);
                 record
-                    .moved_into(sector, scene.gpu_scene.origin, &pose)
+                    .moved_into(sector, splats.background.origin, &pose)
                     .moving(sector, &agent.motion)
             };
             let seen_by = (0..sectors.len()).map(seen_by).collect();
@@ -388,7 +424,7 @@ impl AgentList {
         self.cameras.extend(seen_by);
         self.agents += 1;
         self.counts.agents += 1;
-        self.counts.clusters += asset.levels[level].chunks();
+        self.counts.clusters += asset.levels[level].cluster_count();
         self.splats += self.records[self.records.len() - 1].splat_count as usize;
     }
 }

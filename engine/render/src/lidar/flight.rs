@@ -10,7 +10,8 @@ use rayon::prelude::*;
 
 use super::{ATTEMPTS_MAX, ENTRIES_MAX_IN_SOFTWARE, Grid, LidarRenderer, TracedSweep, Written};
 use crate::RenderError;
-use crate::agents::{AgentList, Scene};
+use crate::agents::{AgentList, FrameSplats};
+use crate::asset_pool::AssetPool;
 use crate::capacity::Capacity;
 use crate::layout::View;
 use crate::stages::{
@@ -49,7 +50,7 @@ fn read<T: Pod + Send + Sync>(values: &Buffer<T>, kept: &mut Vec<T>) {
 
 /// A sweep that is being traced.
 pub(super) struct SweepInput<'a> {
-    pub scene: Scene<'a>,
+    pub splats: FrameSplats<'a>,
     pub lidar: &'a Lidar,
     pub grid: Arc<Grid>,
     pub view: View,
@@ -74,7 +75,7 @@ impl LidarRenderer {
         input: SweepInput<'a>,
         capacity: Capacity,
     ) -> Result<SweepInFlight<'a>, RenderError> {
-        let clusters = input.scene.gpu_scene.finest_clusters;
+        let clusters = input.splats.background.finest_clusters;
         let (beams, echoes) = (input.grid.beams.len(), input.variant.echoes);
         let room = LidarRoom::new(capacity, clusters, &input.view, beams, echoes);
         let buffers = self.buffers_of(&room)?;
@@ -196,8 +197,8 @@ impl LidarRenderer {
             unreachable!("build was called")
         };
         let written = &input.written;
-        let (gpu_scene, sectors) = (input.scene.gpu_scene, &written.sectors);
-        let lists = sectors.count * gpu_scene.finest_clusters;
+        let (background, sectors) = (input.splats.background, &written.sectors);
+        let lists = sectors.count * background.finest_clusters;
         let agents = input.agents.as_ref().map(|list| LidarAgents {
             pool: &list.pool,
             agents: &written.agents.buffers,
@@ -212,10 +213,10 @@ impl LidarRenderer {
             empty_counts(r, buffers, sectors.bins);
         });
         recorder.stage("project lidar", |r| {
-            let background = &stages.background;
-            background.record(r, LidarPass::Mark, gpu_scene, sectors, buffers);
+            let project = &stages.background;
+            project.record(r, LidarPass::Mark, background, sectors, buffers);
             scan.record(r, &buffers.visible.counts, &buffers.offsets, lists);
-            background.record(r, LidarPass::Write, gpu_scene, sectors, buffers);
+            project.record(r, LidarPass::Write, background, sectors, buffers);
         });
         if let Some(agents) = &agents {
             recorder.stage("project lidar agents", |r| {
@@ -237,7 +238,7 @@ impl LidarRenderer {
             camera_count: sectors.count,
             projected: &buffers.projected,
             static_offsets: &buffers.offsets,
-            static_clusters: gpu_scene.finest_clusters,
+            static_clusters: background.finest_clusters,
             moving_offsets: agents.map_or(&buffers.no_agents, |agents| &agents.agents.offsets),
             moving_clusters: agents.map_or(0, |agents| agents.counts.clusters),
             moving_only: false,
@@ -278,8 +279,8 @@ impl LidarRenderer {
 
     /// Uploads of assets that the sweep has to wait for.
     fn added<'a>(&self, input: &'a SweepInput<'_>) -> Vec<&'a Ticket> {
-        let agents = input.scene.agents.iter();
-        agents.filter_map(|(pool, _)| pool.last_upload()).collect()
+        let pools = input.splats.pool.into_iter();
+        pools.filter_map(AssetPool::last_upload).collect()
     }
 }
 

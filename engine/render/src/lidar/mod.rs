@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use crate::RenderError;
 use crate::agents::staged_agents::StagedAgents;
-use crate::agents::{AgentList, Scene};
+use crate::agents::{AgentList, FrameSplats};
 use crate::capacity::Capacity;
 use crate::layout::{BeamRecord, CAMERAS_MAX, CLUSTER_SPLATS, View};
 use crate::stages::{
@@ -95,12 +95,11 @@ pub struct LidarRenderer {
     stages_timed: bool,
 }
 
-/// A sweep to trace: a LiDAR in a scene whose agents stand where they are at the start of the
-/// sweep.
+/// A sweep to trace.
 #[derive(Clone, Copy)]
 pub struct LidarView<'a> {
-    /// Scene, and its agents.
-    pub scene: Scene<'a>,
+    /// Splats that it meets. Agents stand where they are at the start of the sweep.
+    pub splats: FrameSplats<'a>,
     /// LiDAR, and its motion during the sweep.
     pub lidar: &'a Lidar,
     /// Returns that can be made of the sweep; with [`ReturnMode::Dual`], those of every mode.
@@ -143,7 +142,7 @@ impl LidarRenderer {
         &self.options
     }
 
-    /// Traces one sweep of `lidar` through `scene`, whose agents stand where they are at the start
+    /// Traces one sweep of `lidar` through `splats`, whose agents stand where they are at the start
     /// of the sweep, and waits for it. Returns by `mode` can be made of it; with
     /// [`ReturnMode::Dual`], by every mode.
     ///
@@ -152,13 +151,20 @@ impl LidarRenderer {
     /// memory or was lost.
     pub fn trace<'a>(
         &mut self,
-        scene: impl Into<Scene<'a>>,
+        splats: impl Into<FrameSplats<'a>>,
         lidar: &Lidar,
         mode: ReturnMode,
     ) -> Result<TracedSweep, RenderError> {
-        let scene = scene.into();
+        let splats = splats.into();
         let mut traced = Vec::new();
-        self.trace_all(&[LidarView { scene, lidar, mode }], &mut traced)?;
+        self.trace_all(
+            &[LidarView {
+                splats,
+                lidar,
+                mode,
+            }],
+            &mut traced,
+        )?;
         Ok(traced.pop().expect("a sweep was asked for"))
     }
 
@@ -204,18 +210,18 @@ impl LidarRenderer {
     /// Prepares a sweep, and submits it.
     fn start<'a>(&mut self, view: &LidarView<'a>) -> Result<SweepInFlight<'a>, RenderError> {
         let LidarView {
-            mut scene,
+            mut splats,
             lidar,
             mode,
         } = *view;
-        scene.gpu_scene = scene.gpu_scene.for_lidar();
+        splats.background = splats.background.for_lidar();
         let of_lidar = |reason| RenderError::Lidar {
             name: lidar.name.clone(),
             reason,
         };
         lidar.model.check().map_err(of_lidar)?;
         lidar.motion.check().map_err(of_lidar)?;
-        for agent in scene.agents.iter().flat_map(|(_, agents)| agents.iter()) {
+        for agent in &splats.agents.agents {
             let instance = agent.instance;
             let of_agent = |reason| RenderError::AgentMotion { instance, reason };
             agent.motion.check().map_err(of_agent)?;
@@ -224,24 +230,24 @@ impl LidarRenderer {
         let mut written = self.written()?;
         let records = std::mem::take(&mut written.records);
         let cut = Sectors::new(lidar, &grid.cells, &grid.plan, records);
-        let origin = scene.gpu_scene.origin;
+        let origin = splats.background.origin;
         let from_origin = |camera: &decouplegs_scene::Camera| {
             (camera.world_from_camera.translation - origin).length()
         };
         let distance_max_m =
-            scene.distance_max_m()? + cut.cameras.iter().map(from_origin).fold(0.0, f64::max);
+            splats.distance_max_m()? + cut.cameras.iter().map(from_origin).fold(0.0, f64::max);
         let view = View::new(&cut.cameras, origin, distance_max_m).map_err(RenderError::View)?;
-        let agents = AgentList::of_sweep(&scene, &cut.cameras, &cut.times_s, &view)?;
+        let agents = AgentList::of_sweep(&splats, &cut.cameras, &cut.times_s, &view)?;
         let agents_move = || {
-            let mut agents = scene.agents.iter().flat_map(|(_, agents)| agents.iter());
+            let mut agents = splats.agents.agents.iter();
             agents.any(|agent| !agent.motion.is_rest())
         };
         let variant = LidarVariant {
-            instances: scene.gpu_scene.has_instances,
+            instances: splats.background.has_instances,
             moving: !lidar.motion.is_rest() || agents_move(),
             dilation_rad: self.options.rules.lidar_dilation_rad as f32,
             echoes: mode == ReturnMode::Dual,
-            storage: scene.gpu_scene.storage,
+            storage: splats.background.storage,
             beam_lanes: beam_lanes(&self.gpu, grid.beams.len()),
         };
         written.sectors.set(&self.gpu, &view, &cut.tables)?;
@@ -252,7 +258,7 @@ impl LidarRenderer {
         written.records = cut.tables.beams;
         self.build(variant)?;
         let input = SweepInput {
-            scene,
+            splats,
             lidar,
             grid,
             view,
@@ -260,11 +266,11 @@ impl LidarRenderer {
             variant,
             written,
         };
-        let splats = scene.gpu_scene.finest_clusters * CLUSTER_SPLATS
+        let count = splats.background.finest_clusters * CLUSTER_SPLATS
             + input.agents.as_ref().map_or(0, |list| list.splats);
         let capacity = match self.capacity {
             Some(capacity) => capacity,
-            None => Capacity::guess(splats, input.view.cameras.len()),
+            None => Capacity::guess(count, input.view.cameras.len()),
         };
         self.submit_in(input, capacity)
     }

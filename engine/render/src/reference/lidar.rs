@@ -96,7 +96,7 @@ pub struct Contribution64 {
 
 /// The splats of a scene as a LiDAR meets them.
 #[derive(Clone, Debug)]
-pub struct LidarScene64<'a> {
+pub struct LidarSplats64<'a> {
     /// Groups, the background first.
     pub groups: Vec<SplatGroup<'a>>,
     /// Rules, of which the upper bound of alpha, antialiasing and the dilation of LiDARs count.
@@ -114,7 +114,7 @@ struct Seen {
     opacity: f64,
 }
 
-impl LidarScene64<'_> {
+impl LidarSplats64<'_> {
     /// The result of each of `beams`, which are fired by `lidar`.
     #[must_use]
     pub fn hits(&self, lidar: &Lidar, beams: &[Beam]) -> Vec<BeamHit64> {

@@ -7,7 +7,7 @@ use super::{CameraVariant, PURPOSE, Views, least_response};
 use crate::capacity::groups_for;
 use crate::interfaces::cull::{Bindings, Constants, Module, Push};
 use crate::layout::{CLUSTER_SPLATS, near_m, response_squares_max};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::storage::Storage;
 
 /// Per-(camera, cluster) visibility bit mask and count.
@@ -72,30 +72,30 @@ impl Cull {
         })
     }
 
-    /// Marks what `views` see of `gpu_scene` in `visible`, and returns it.
+    /// Marks what `views` see of `background` in `visible`, and returns it.
     pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         views: Views<'_>,
         visible: &'a Visible,
     ) -> &'a Visible {
         let push = Push {
-            splat_count: gpu_scene.splats as u32,
+            splat_count: background.splats as u32,
             camera_count: views.count as u32,
-            cluster_count: gpu_scene.cluster_count() as u32,
-            pitch_px: match gpu_scene.nodes.len() {
+            cluster_count: background.cluster_count() as u32,
+            pitch_px: match background.nodes.len() {
                 0 => -1.0,
                 _ => self.pitch_px,
             },
         };
         let bindings = Bindings {
             cameras: views.cameras.bound(),
-            clusters: gpu_scene.clusters.bound(),
-            nodes: gpu_scene.nodes.bound(),
-            means_m: gpu_scene.means.bound(),
-            shapes: gpu_scene.shapes.bound(),
-            rotations: gpu_scene.rotations.bound(),
+            clusters: background.clusters.bound(),
+            nodes: background.nodes.bound(),
+            means_m: background.means.bound(),
+            shapes: background.shapes.bound(),
+            rotations: background.rotations.bound(),
             visible_words: visible.words.bound(),
             visible_counts: visible.counts.bound(),
             lenses: views.lenses.bound(),
@@ -104,7 +104,7 @@ impl Cull {
             &self.kernel,
             bindings,
             push,
-            groups_for(gpu_scene.cluster_count()),
+            groups_for(background.cluster_count()),
         );
         visible
     }

@@ -6,7 +6,7 @@ use super::PURPOSE;
 use crate::capacity::groups_for;
 use crate::interfaces::cull_shadows::{Bindings, Constants, Module, Push};
 use crate::layout::{CLUSTER_SPLATS, ShadowRecord};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 
 /// The shadows of a frame on the device.
 pub struct ShadowBuffers {
@@ -56,21 +56,21 @@ impl CullShadows {
         })
     }
 
-    /// Marks which of the first `shadow_count` shadows may lie on each cluster of `gpu_scene`.
+    /// Marks which of the first `shadow_count` shadows may lie on each cluster of `background`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         buffers: &ShadowBuffers,
         shadow_count: usize,
     ) {
-        let clusters = gpu_scene.cluster_count();
+        let clusters = background.cluster_count();
         let push = Push {
             cluster_count: clusters as u32,
             shadow_count: shadow_count as u32,
         };
         let bindings = Bindings {
-            clusters: gpu_scene.clusters.bound(),
+            clusters: background.clusters.bound(),
             shadows: buffers.shadows.bound(),
             shadow_words: buffers.words.bound(),
         };

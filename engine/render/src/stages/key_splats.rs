@@ -5,7 +5,7 @@ use decouplegs_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder};
 use crate::capacity::groups_for;
 use crate::interfaces::key_splats::{Bindings, Constants, Module, Push};
 use crate::layout::CameraRecord;
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 
 /// Depth keys that projection reads instead of computing them.
 #[derive(Clone, Copy)]
@@ -41,31 +41,31 @@ impl KeySplats {
         })
     }
 
-    /// Writes the depth keys of all splats of `gpu_scene` along the direction of a camera to a set
+    /// Writes the depth keys of all splats of `background` along the direction of a camera to a set
     /// of `keys`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         cameras: &Buffer<CameraRecord>,
         wanted: WantedKeys,
         keys: &Buffer<u32>,
     ) {
         let push = Push {
-            splat_count: gpu_scene.splats as u32,
+            splat_count: background.splats as u32,
             camera: wanted.camera as u32,
             key_set: wanted.set as u32,
         };
         let bindings = Bindings {
             cameras: cameras.bound(),
-            means_m: gpu_scene.means.bound(),
+            means_m: background.means.bound(),
             kept_keys: keys.bound(),
         };
         recorder.dispatch(
             &self.kernel,
             bindings,
             push,
-            groups_for(gpu_scene.splats.div_ceil(256)),
+            groups_for(background.splats.div_ceil(256)),
         );
     }
 }

@@ -9,7 +9,7 @@ use crate::interfaces::project::{Bindings, Constants, Module, Push};
 use crate::layout::{fog_vector, near_m};
 use crate::output::Outputs;
 use crate::plane::{Plane, Planes};
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::storage::Storage;
 
 /// Contents of records beside footprint, color and depth key.
@@ -167,7 +167,7 @@ impl Project {
     pub fn record<'a>(
         &self,
         recorder: &mut Recorder,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         views: Views<'_>,
         inputs: ProjectInputs<'_>,
         projected: &'a Projected,
@@ -181,26 +181,26 @@ impl Project {
             flow_interval_s,
         } = inputs;
         let push = Push {
-            splat_count: gpu_scene.splats as u32,
+            splat_count: background.splats as u32,
             camera_count: views.count as u32,
-            cluster_count: gpu_scene.cluster_count() as u32,
+            cluster_count: background.cluster_count() as u32,
             records_max: projected.room() as u32,
             shadow_word_count: words_for(shadow_count) as u32,
             flow_interval_s,
-            fog: fog_vector(gpu_scene.fog.as_ref()),
+            fog: fog_vector(background.fog.as_ref()),
         };
         let bindings = Bindings {
             cameras: views.cameras.bound(),
-            means_m: gpu_scene.means.bound(),
-            shapes: gpu_scene.shapes.bound(),
-            rotations: gpu_scene.rotations.bound(),
+            means_m: background.means.bound(),
+            shapes: background.shapes.bound(),
+            rotations: background.rotations.bound(),
             visible_words: visible.words.bound(),
             offsets: offsets.bound(),
-            sh_dc: gpu_scene.sh_dc.bound(),
-            sh_band1: gpu_scene.sh_bands[0].bound(),
-            sh_band2: gpu_scene.sh_bands[1].bound(),
-            sh_band3: gpu_scene.sh_bands[2].bound(),
-            instances: gpu_scene.instances.bound(),
+            sh_dc: background.sh_dc.bound(),
+            sh_band1: background.sh_bands[0].bound(),
+            sh_band2: background.sh_bands[1].bound(),
+            sh_band3: background.sh_bands[2].bound(),
+            instances: background.instances.bound(),
             footprints: projected.footprints.bound(),
             labels: projected.labels.bound(),
             attributes: projected.attributes.bound(),
@@ -216,7 +216,7 @@ impl Project {
             &self.kernel,
             bindings,
             push,
-            groups_for(gpu_scene.cluster_count()),
+            groups_for(background.cluster_count()),
         );
         projected
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use decouplegs_scene::episode::{DrawnBy, ReadingRecord};
 use decouplegs_scene::{Camera, LidarSweep, Motion, Pose, Rig, random};
 use decouplegs_session::{
-    BatchRenderer, HostImages, SessionError, SessionScene, TracedSweep, World, WorldView,
+    BatchRenderer, HostImages, Scene, SessionError, TracedSweep, World, WorldView,
 };
 use rayon::prelude::*;
 
@@ -49,12 +49,7 @@ impl EgosRenderer {
     /// The sensors of `rigs`, those of the egos in the order of the scenario, in `scene`, drawn by
     /// `renderer` at every `every`th step.
     #[must_use]
-    pub fn new(
-        renderer: BatchRenderer,
-        scene: &Arc<SessionScene>,
-        rigs: Vec<Rig>,
-        every: u32,
-    ) -> Self {
+    pub fn new(renderer: BatchRenderer, scene: &Arc<Scene>, rigs: Vec<Rig>, every: u32) -> Self {
         let seat = |rig: Rig| Seat {
             rig,
             view: None,

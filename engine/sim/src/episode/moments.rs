@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use decouplegs_scene::episode::{Episode, EpisodeStep};
 use decouplegs_scene::{Motion, Plan, Pose, Scenario};
-use decouplegs_session::{SessionError, SessionScene, World};
+use decouplegs_session::{Scene, SessionError, World};
 
 use super::replay::check_version;
 use super::{EpisodeError, Simulation, Site};
@@ -41,7 +41,7 @@ impl Moments {
     pub fn begin(
         scenario: &Scenario,
         site: &Arc<Site>,
-        scene: &Arc<SessionScene>,
+        scene: &Arc<Scene>,
     ) -> Result<Self, EpisodeError> {
         let simulation = Simulation::new(scenario, site)?;
         let mut world = World::empty(scene);
@@ -60,7 +60,7 @@ impl Moments {
     pub fn from_episode(
         episode: &Episode,
         site: &Arc<Site>,
-        scene: &Arc<SessionScene>,
+        scene: &Arc<Scene>,
     ) -> Result<Self, EpisodeError> {
         check_version(episode)?;
         let mut moments = Self::begin(&episode.head.scenario, site, scene)?;

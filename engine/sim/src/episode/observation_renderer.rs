@@ -10,7 +10,7 @@ use decouplegs_scene::{
     Camera, Invalid, LidarSweep, Motion, Pose, Rig, RigCamera, RigLidar, random,
 };
 use decouplegs_session::{
-    BatchRenderer, HostImages, RigSweep, SessionError, SessionScene, TracedSweep, World, WorldView,
+    BatchRenderer, HostImages, RigSweep, Scene, SessionError, TracedSweep, World, WorldView,
     hash_bytes,
 };
 use rayon::prelude::*;
@@ -115,7 +115,7 @@ pub fn chosen_lidars(rig: &Rig, all: bool, names: &[String]) -> Result<Vec<RigLi
 impl ObservationRenderer {
     /// The sensors of `rig` in `scene`, drawn by `renderer` at every `every`th step.
     #[must_use]
-    pub fn new(renderer: BatchRenderer, scene: &Arc<SessionScene>, rig: Rig, every: u32) -> Self {
+    pub fn new(renderer: BatchRenderer, scene: &Arc<Scene>, rig: Rig, every: u32) -> Self {
         Self {
             renderer,
             world: World::empty(scene),
@@ -157,7 +157,7 @@ impl ObservationRenderer {
     /// The sensors of `rig` in `scene`, for another episode, in the memory of this one: images in
     /// new memory take several times as long to copy.
     #[must_use]
-    pub fn restarted(self, scene: &Arc<SessionScene>, rig: Rig, every: u32) -> Self {
+    pub fn restarted(self, scene: &Arc<Scene>, rig: Rig, every: u32) -> Self {
         Self {
             images: self.images,
             traced: self.traced,

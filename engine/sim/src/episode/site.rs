@@ -25,7 +25,7 @@ use decouplegs_scene::{
     LaneMap, LightColor, LightTransfer, Obstacle, Pose, Rig, RoadUser, SignKind, SplatScene,
     Trajectory, VehicleSize, Weather,
 };
-use decouplegs_session::{Session, SessionError, SessionScene};
+use decouplegs_session::{Scene, Session, SessionError};
 use decouplegs_synth::probes::probe_of;
 use decouplegs_synth::roads::{self, RoadsOptions};
 use decouplegs_synth::street::signals::{SignalHead, head_assets, post_assets, sign_assets};
@@ -483,7 +483,7 @@ impl Site {
     ///
     /// # Errors
     /// Returns the errors of [`Session::add_scene`].
-    pub fn add_to(&self, session: &Session) -> Result<Arc<SessionScene>, SessionError> {
+    pub fn add_to(&self, session: &Session) -> Result<Arc<Scene>, SessionError> {
         let scene = session.add_scene(&self.loaded)?;
         scene.bake_light(self.positions(Self::LIGHT_STEP_M));
         Ok(scene)

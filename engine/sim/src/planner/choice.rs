@@ -42,12 +42,12 @@ pub enum PlannerChoice {
 }
 
 impl PlannerChoice {
-    /// Opens a planner of this kind. External planners are given the timeouts `patience`.
+    /// Opens a planner of this kind. External planners answer within `timeouts`.
     ///
     /// # Errors
     /// Returns an error if an external planner cannot be reached or started, or if a log cannot be
     /// read or replayed.
-    pub fn open(&self, patience: Timeouts) -> Result<Box<dyn Planner>, PlannerError> {
+    pub fn open(&self, timeouts: Timeouts) -> Result<Box<dyn Planner>, PlannerError> {
         Ok(match self {
             Self::ConstantVelocity => Box::new(ConstantVelocity),
             Self::LaneFollow(style) => Box::new(LaneFollow::new(*style)),
@@ -59,7 +59,7 @@ impl PlannerChoice {
                     read_episode_log(log).map_err(|error| PlannerError(error.to_string()))?;
                 Box::new(Replay::of_episode(&episode)?)
             }
-            Self::External(attachment) => Box::new(External::open(attachment.clone(), patience)?),
+            Self::External(attachment) => Box::new(External::open(attachment.clone(), timeouts)?),
         })
     }
 }

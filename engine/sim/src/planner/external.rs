@@ -59,7 +59,7 @@ impl Default for Timeouts {
 #[derive(Debug)]
 pub struct External {
     attachment: Transport,
-    patience: Timeouts,
+    timeouts: Timeouts,
     introduction: Introduction,
     /// None after a failure, until the next episode begins.
     session: Option<Session>,
@@ -71,20 +71,20 @@ impl External {
     /// # Errors
     /// Returns an error if the planner cannot be started or reached, or does not introduce itself
     /// in time and form.
-    pub fn open(attachment: Transport, patience: Timeouts) -> Result<Self, PlannerError> {
-        let (session, introduction) = Session::open(&attachment, &patience)?;
+    pub fn open(attachment: Transport, timeouts: Timeouts) -> Result<Self, PlannerError> {
+        let (session, introduction) = Session::open(&attachment, &timeouts)?;
         Ok(Self {
             attachment,
-            patience,
+            timeouts,
             introduction,
             session: Some(session),
         })
     }
 
-    /// Waits for answers as long as `patience` says.
+    /// Waits for answers as long as `timeouts` says.
     #[must_use]
-    pub fn with_patience(self, patience: Timeouts) -> Self {
-        Self { patience, ..self }
+    pub fn with_timeouts(self, timeouts: Timeouts) -> Self {
+        Self { timeouts, ..self }
     }
 
     /// Makes sure that there is a session, a new one where the last was lost.
@@ -93,7 +93,7 @@ impl External {
             return Ok(());
         }
         self.session = None;
-        let (mut session, introduction) = Session::open(&self.attachment, &self.patience)?;
+        let (mut session, introduction) = Session::open(&self.attachment, &self.timeouts)?;
         if introduction != self.introduction {
             return Err(session.broken(
                 "introduced itself in another way than before; expected the same name and wishes",
@@ -118,7 +118,7 @@ impl External {
             self.session
                 .as_mut()
                 .ok_or_else(lost)?
-                .ask(header, payload, self.patience.answer);
+                .ask(header, payload, self.timeouts.answer);
         if answer.is_err() {
             self.session = None;
         }

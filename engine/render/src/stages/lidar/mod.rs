@@ -18,7 +18,7 @@ use crate::layout::{
     BeamEchoes, BeamRecord, BeamState, CAMERAS_MAX, CameraRecord, FINE_TILES, FiringRecord,
     RequiredCounts, SectorRecord, View,
 };
-use crate::resident::GpuScene;
+use crate::resident_splats::ResidentSplats;
 use crate::storage::Storage;
 
 /// Specialization of the kernels, beside the rules.
@@ -270,32 +270,32 @@ impl ProjectLidar {
         })
     }
 
-    /// Records a run over `gpu_scene`.
+    /// Records a run over `background`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         pass: LidarPass,
-        gpu_scene: &GpuScene,
+        background: &ResidentSplats,
         sectors: &SectorBuffers,
         buffers: &LidarBuffers,
     ) {
         let push = project_lidar::Push {
-            splat_count: gpu_scene.splats as u32,
+            splat_count: background.splats as u32,
             camera_count: sectors.count as u32,
-            cluster_count: gpu_scene.finest_clusters as u32,
+            cluster_count: background.finest_clusters as u32,
             records_max: buffers.projected.room() as u32,
         };
         let bindings = project_lidar::Bindings {
             cameras: sectors.cameras.bound(),
-            means_m: gpu_scene.means.bound(),
-            shapes: gpu_scene.shapes.bound(),
-            rotations: gpu_scene.rotations.bound(),
+            means_m: background.means.bound(),
+            shapes: background.shapes.bound(),
+            rotations: background.rotations.bound(),
             visible_words: buffers.visible.words.bound(),
             visible_counts: buffers.visible.counts.bound(),
             offsets: buffers.offsets.bound(),
-            clusters: gpu_scene.clusters.bound(),
-            sh_dc: gpu_scene.sh_dc.bound(),
-            instances: gpu_scene.instances.bound(),
+            clusters: background.clusters.bound(),
+            sh_dc: background.sh_dc.bound(),
+            instances: background.instances.bound(),
             footprints: buffers.projected.footprints.bound(),
             looks: buffers.looks.bound(),
             keys: buffers.projected.keys.bound(),
@@ -308,7 +308,7 @@ impl ProjectLidar {
             LidarPass::Mark => &self.mark,
             LidarPass::Write => &self.write,
         };
-        let groups = groups_for(gpu_scene.finest_clusters);
+        let groups = groups_for(background.finest_clusters);
         recorder.dispatch(kernel, bindings, push, groups);
     }
 }

@@ -27,10 +27,10 @@ impl AgentDriverChoice {
     ///
     /// # Errors
     /// A sentence, if it cannot be reached, started or read.
-    pub fn open(&self, patience: Timeouts) -> Result<Box<dyn AgentDriver>, PlannerError> {
+    pub fn open(&self, timeouts: Timeouts) -> Result<Box<dyn AgentDriver>, PlannerError> {
         match self {
             Self::External(transport) => {
-                Ok(Box::new(ExternalAgents::open(transport.clone(), patience)?))
+                Ok(Box::new(ExternalAgents::open(transport.clone(), timeouts)?))
             }
             #[cfg(feature = "onnx")]
             Self::Onnx(path) => Ok(Box::new(super::Onnx::open(path)?)),

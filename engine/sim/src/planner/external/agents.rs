@@ -21,7 +21,7 @@ const WHO: &str = "the external driver of agents";
 #[derive(Debug)]
 pub struct ExternalAgents {
     transport: Transport,
-    patience: Timeouts,
+    timeouts: Timeouts,
     name: String,
     /// None after a failure, until the next episode begins.
     session: Option<Session>,
@@ -33,11 +33,11 @@ impl ExternalAgents {
     /// # Errors
     /// A sentence, if it cannot be started or reached, or does not introduce itself in time and
     /// form.
-    pub fn open(transport: Transport, patience: Timeouts) -> Result<Self, PlannerError> {
-        let (session, name) = opened(&transport, &patience)?;
+    pub fn open(transport: Transport, timeouts: Timeouts) -> Result<Self, PlannerError> {
+        let (session, name) = opened(&transport, &timeouts)?;
         Ok(Self {
             transport,
-            patience,
+            timeouts,
             name,
             session: Some(session),
         })
@@ -45,7 +45,7 @@ impl ExternalAgents {
 
     /// The answer to a question; a session that does not have one is over.
     fn ask(&mut self, question: &Value) -> Result<Answer, PlannerError> {
-        let time = self.patience.answer;
+        let time = self.timeouts.answer;
         let lost = || PlannerError(format!("{WHO} was lost"));
         let answer = self
             .session
@@ -73,8 +73,8 @@ impl ExternalAgents {
 }
 
 /// A new session, and the name of the driver.
-fn opened(transport: &Transport, patience: &Timeouts) -> Result<(Session, String), PlannerError> {
-    let (mut session, answer) = Session::greeted(transport, patience, &hello(), WHO)?;
+fn opened(transport: &Transport, timeouts: &Timeouts) -> Result<(Session, String), PlannerError> {
+    let (mut session, answer) = Session::greeted(transport, timeouts, &hello(), WHO)?;
     match answer {
         Answer::AgentsHello(name) => Ok((session, name)),
         Answer::Hello(_) => Err(session.broken(
@@ -96,7 +96,7 @@ impl AgentDriver for ExternalAgents {
     fn begin(&mut self, info: &AgentsInfo<'_>) -> Result<(), PlannerError> {
         if !self.session.as_mut().is_some_and(Session::is_open) {
             self.session = None;
-            let (mut session, name) = opened(&self.transport, &self.patience)?;
+            let (mut session, name) = opened(&self.transport, &self.timeouts)?;
             if name != self.name {
                 return Err(session.broken(
                     "introduced itself in another way than before; expected the same name",

@@ -34,10 +34,10 @@ impl Session {
     /// Starts or connects to the planner and has it introduce itself.
     pub(super) fn open(
         attachment: &Transport,
-        patience: &Timeouts,
+        timeouts: &Timeouts,
     ) -> Result<(Self, Introduction), PlannerError> {
         let who = "the external planner";
-        let (mut session, answer) = Self::greeted(attachment, patience, &message::hello(), who)?;
+        let (mut session, answer) = Self::greeted(attachment, timeouts, &message::hello(), who)?;
         match answer {
             Answer::Hello(introduction) => Ok((session, introduction)),
             Answer::AgentsHello(_) => Err(session
@@ -52,7 +52,7 @@ impl Session {
     /// Starts or connects to a program and says `hello`: the session, and its answer.
     pub(super) fn greeted(
         attachment: &Transport,
-        patience: &Timeouts,
+        timeouts: &Timeouts,
         hello: &Value,
         who: &'static str,
     ) -> Result<(Self, Answer), PlannerError> {
@@ -61,7 +61,7 @@ impl Session {
                 Process::start(words).map(|(process, connection)| (Some(process), connection))
             }
             Transport::Socket(path) => {
-                connect(path, patience.hello).map(|connection| (None, connection))
+                connect(path, timeouts.hello).map(|connection| (None, connection))
             }
         }
         .map_err(|fault| PlannerError(format!("{who}: {fault}")))?;
@@ -71,7 +71,7 @@ impl Session {
             who,
             is_sound: true,
         };
-        let answer = session.ask(hello, &[], patience.hello)?;
+        let answer = session.ask(hello, &[], timeouts.hello)?;
         Ok((session, answer))
     }
 

@@ -1,4 +1,4 @@
-//! A world on the device: attributes as the kernels read them.
+//! Splats on the device: attributes as the kernels read them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,16 +17,16 @@ use crate::reference::unscented::SIGMA_SPREAD;
 use crate::storage::{CompactShape, Storage, unit};
 use crate::{RenderError, sh_codec};
 
-/// Purpose under which the memory of worlds is counted.
+/// Purpose under which the memory of these splats is counted.
 pub const PURPOSE: &str = "scene";
 
-/// Tells worlds apart whose depth keys are kept.
+/// Tells backgrounds apart whose depth keys are kept.
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
-/// The splats of a world in device memory. Drawn by any number of frames; clones share the memory,
-/// and dropping the last frees it.
+/// The splats of a background in device memory. Drawn by any number of frames; clones share the
+/// memory, and dropping the last frees it.
 #[derive(Clone)]
-pub struct GpuScene {
+pub struct ResidentSplats {
     pub(crate) id: u64,
     /// Splats of all levels of detail, defective ones included: these are never drawn, but keep
     /// their index.
@@ -56,7 +56,7 @@ pub struct GpuScene {
     /// Clusters of the finest level, which come first: all, without levels.
     pub finest_clusters: usize,
     /// Splats that LiDARs meet, where they are not all of them.
-    lidar_splats: Option<Arc<GpuScene>>,
+    lidar_splats: Option<Arc<ResidentSplats>>,
     /// Storage of the buffers below.
     pub storage: Storage,
     /// Relative to the origin, meters.
@@ -74,7 +74,7 @@ pub struct GpuScene {
     pub instances: Buffer<u32>,
 }
 
-impl GpuScene {
+impl ResidentSplats {
     /// True if images of `cameras` are post-processed: there is a sky map, or a calibration.
     #[must_use]
     pub fn is_post_processed<'a>(&self, cameras: impl IntoIterator<Item = &'a Camera>) -> bool {
@@ -125,7 +125,7 @@ impl GpuScene {
         self.lidar_splats.as_deref().unwrap_or(self)
     }
 
-    /// [`GpuScene::upload`] with levels of detail, which take a third more memory.
+    /// [`ResidentSplats::upload`] with levels of detail, which take a third more memory.
     ///
     /// # Errors
     /// Returns an error if the device has not the memory, with the bytes wanted.
@@ -231,7 +231,7 @@ impl GpuScene {
         Ok(scene)
     }
 
-    /// Clusters of the world.
+    /// Clusters of all levels of detail.
     #[must_use]
     pub fn cluster_count(&self) -> usize {
         self.splats.div_ceil(CLUSTER_SPLATS)
@@ -244,9 +244,9 @@ struct Prepared {
     mean_m: [f32; 3],
     /// Scales (m) and opacity, as they are read back.
     shape: [f32; 4],
-    /// Words in [`GpuScene::shapes`].
+    /// Words in [`ResidentSplats::shapes`].
     shape_words: [u32; 4],
-    /// Word in [`GpuScene::rotations`] of compact storage.
+    /// Word in [`ResidentSplats::rotations`] of compact storage.
     opacity_word: u32,
     rotation: [f32; 4],
 }
@@ -340,7 +340,7 @@ pub(crate) fn cluster_of(splats: &[Extent]) -> ClusterRecord {
     }
 }
 
-/// Words of [`GpuScene::rotations`].
+/// Words of [`ResidentSplats::rotations`].
 fn rotation_words(prepared: &[Prepared], storage: Storage) -> Vec<[u32; 4]> {
     match storage {
         Storage::Exact => prepared

@@ -1,4 +1,5 @@
-//! A scene on the device, and images of it. All use of the renderer is in this file.
+//! Images and sweeps of one scene, as requests ask for them. All use of the renderer is in this
+//! file.
 
 use std::collections::{HashMap, HashSet};
 
@@ -17,8 +18,8 @@ use tonic::Status;
 use crate::render_request::{PlacedObject, RenderRequest};
 use crate::sweep_request::SweepRequest;
 
-/// A scene that can be drawn.
-pub struct SceneRenderer {
+/// Draws what requests see of one scene.
+pub struct RequestRenderer {
     renderer: BatchRenderer,
     /// Objects of the last requests, one world per list of objects; at least one.
     worlds: Vec<World>,
@@ -37,7 +38,7 @@ pub struct Drawn {
     pub unknown: Vec<String>,
 }
 
-impl SceneRenderer {
+impl RequestRenderer {
     /// `loaded` on the device of `session`.
     ///
     /// # Errors

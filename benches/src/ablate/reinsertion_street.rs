@@ -19,8 +19,8 @@ const STEPS: u32 = 20;
 /// A car whose middle is nearer is hardly in the image, meters.
 const NEAR_M: f64 = 3.0;
 
-/// Scene into which the cars are reinserted.
-pub struct ReinsertionScene {
+/// Street into which the cars are reinserted.
+pub struct ReinsertionStreet {
     pub options: StreetOptions,
     pub street: Street,
     /// The background as it was captured empty, compressed cars that drive as they truly do, and
@@ -37,7 +37,7 @@ pub struct Truth {
     pub cars: Vec<SplatCloud>,
 }
 
-impl ReinsertionScene {
+impl ReinsertionStreet {
     /// The street of `options` with `cars` in its light, which `light` brings to colors with
     /// `relighting`, seen by the first `cameras_used` cameras.
     pub fn set(
