@@ -558,6 +558,40 @@ class StepResult(TypedDict):
     time_s: float
     end: Literal["route_done", "collision", "obstacle", "off_road", "off_route", "story", "time", "planner"] | None
 
+class RolloutEgo:
+    """One ego of a rollout."""
+
+    @property
+    def name(self) -> str:
+        """Name in the scenario."""
+    def plan_under(self, steer_rad: float, acceleration_mps2: float) -> NDArray[np.float64]:
+        """Plan that turns the wheels towards steer_rad (left above zero, at most 0.6) and accelerates so (-8 to 3) for 2 s: float64 [N, 3], as
+        steps take it."""
+    def show(self, world: World) -> NDArray[np.float64]:
+        """Puts all agents and the other egos into a world over the site's scene, as this ego sees them; world_from_rig of the ego, float64 [4, 4],
+        meters."""
+    @property
+    def motion(self) -> tuple[list[float], list[float]]:
+        """Motion of the ego when show was called last: velocity, m/s along the axes of the world, and turn, rad/s about those of the vehicle."""
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4]."""
+    @property
+    def guidance(self) -> dict[str, Any]:
+        """What a navigation system says: turn (``left``, ``right``, ``straight``), distance_m, angle_rad, length_m, cruise_mps."""
+    def route_ahead(self, points: int = 10, spacing_m: float = 5.0) -> NDArray[np.float64]:
+        """Places on the route ahead, in the ego's frame: float64 [points, 2], meters."""
+    @property
+    def progress_m(self) -> tuple[float, float]:
+        """Meters of the route that are behind the ego, and all of them."""
+    @property
+    def end(self) -> Literal["route_done", "collision", "obstacle", "off_road", "off_route", "story", "time", "planner"] | None:
+        """Reason of the end, if it has ended."""
+    def score(self) -> dict[str, Any]:
+        """Score so far, as that of a rollout."""
+    def sub_scores(self) -> dict[str, Any]:
+        """Scores beside the driving score so far, as those of a rollout."""
+
 class Rollout:
     """One episode, step by step: the ego does as it is told, traffic answers. The same steps give the same bits."""
 
@@ -571,9 +605,16 @@ class Rollout:
         step_s: float | None = None,
         duration_s: float | None = None,
         name: str = "python",
+        egos: int | None = None,
     ) -> None:
         """Scenario ``index`` of a level, generated from ``seed``; with a site of a scenario file, that scenario. ``name`` is the planner's, for
-        logs."""
+        logs. With ``egos``, cars of the generated traffic become egos. What is asked of the rollout itself is that of the first ego."""
+    @property
+    def egos(self) -> list[RolloutEgo]:
+        """All egos, in the order of the scenario."""
+    def step(self, plans: dict[str, ArrayLike]) -> dict[str, StepResult]:
+        """Drives a step of all egos, along a trajectory for each that has not ended: float64 [N, 3] by its name, as ``step_plan`` takes it. What
+        came of the step, by name."""
     def step_controls(self, steer_rad: float, acceleration_mps2: float) -> StepResult:
         """Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and accelerating so (-8 to 3).
 

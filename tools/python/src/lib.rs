@@ -19,6 +19,7 @@ mod lidar;
 mod png;
 mod pose;
 mod rollout;
+mod rollout_ego;
 mod scene;
 mod session;
 mod site;
@@ -47,6 +48,8 @@ mod native {
     use crate::png::save_png;
     #[pymodule_export]
     use crate::rollout::Rollout;
+    #[pymodule_export]
+    use crate::rollout_ego::RolloutEgo;
     #[pymodule_export]
     use crate::scene::Scene;
     #[pymodule_export]

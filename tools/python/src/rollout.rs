@@ -1,85 +1,120 @@
 //! Episodes that Python steps through.
 
+use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
-use decouplegs::drive::score::{Conduct, ConductKind, EpisodeScore, ExtendedPdmScore, PdmScore};
-use decouplegs::episode::{EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
-use decouplegs::logs::EpisodeLog;
-use decouplegs::scene::episode::{EpisodeEnd, PlannerRecord};
-use decouplegs::scene::{Motion, Plan, PlanPoint, RoadUser};
+use decouplegs::asset::write_atomically;
+use decouplegs::episode::{Answer, EpisodeMetadata, Rollout as EngineRollout, Site as EngineSite};
+use decouplegs::logs::episode_log::encode;
+use decouplegs::scene::episode::PlannerRecord;
+use decouplegs::scene::{Plan, PlanPoint, RoadUser};
 use glam::DVec2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{rows, shaped};
-use crate::error::{Error, FileError, of_episode, of_session, sentence, value_error};
-use crate::lidar::{MotionTuple, tuple_of};
-use crate::pose::to_matrix;
+use crate::error::{Error, FileError, of_episode, sentence, value_error};
+use crate::lidar::MotionTuple;
+use crate::rollout_ego::{RolloutEgo, SharedRollout, lock, name_of};
 use crate::site::Site;
 use crate::world::World;
 
-/// Duration of the plan that is made of controls, seconds: what the ego looks ahead, and more.
-const CONTROL_HORIZON_S: f64 = 2.0;
 /// Steps that a scenario may have, seconds.
 const STEP_S: std::ops::RangeInclusive<f64> = 0.02..=5.0;
 
 /// One episode, step by step.
 ///
 /// Scenario ``index`` of a level, generated from ``seed``; with a site of a scenario file, that
-/// scenario. ``name`` is the planner's, for logs.
+/// scenario. ``name`` is the planner's, for logs. With ``egos``, cars of the generated traffic
+/// become egos. What is asked of the rollout itself is that of the first ego.
 #[pyclass(frozen, module = "decouplegs")]
 pub struct Rollout {
     site: Arc<EngineSite>,
-    inner: Mutex<EngineRollout>,
-    /// Motion of the ego when it was shown last.
-    shown: Mutex<Motion>,
+    inner: SharedRollout,
+    egos: Vec<Py<RolloutEgo>>,
 }
 
 impl Rollout {
     fn lock(&self) -> MutexGuard<'_, EngineRollout> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.inner)
     }
 
-    /// Drives `plan` for a step, and says what came of it.
+    /// The first ego, which drives the scenario's own route.
+    fn first(&self) -> &RolloutEgo {
+        self.egos[0].get()
+    }
+
+    /// Drives `plan` of the only ego for a step, and says what came of it.
     fn driven<'py>(&self, py: Python<'py>, plan: Plan) -> PyResult<Bound<'py, PyDict>> {
+        let count = self.egos.len();
+        if count > 1 {
+            return Err(value_error(format!(
+                "the rollout has {count} egos: give step the plan of each"
+            )));
+        }
+        let mut outcomes = self.driven_together(py, vec![Some(plan)])?;
+        Ok(outcomes.swap_remove(0).1)
+    }
+
+    /// Drives the plans of all egos for a step, `None` for those that have ended. Of each that was
+    /// driven its index, and what came of it.
+    fn driven_together<'py>(
+        &self,
+        py: Python<'py>,
+        plans: Vec<Option<Plan>>,
+    ) -> PyResult<Vec<(usize, Bound<'py, PyDict>)>> {
         let mut rollout = self.lock();
-        if rollout.end().is_some() {
+        if rollout.is_over() {
             return Err(Error::new_err("the episode is over: begin another"));
         }
-        let before_m = rollout.progress_m().0;
-        let instants = rollout.step(plan, Vec::new(), false).instants.clone();
-        let off_road = instants.iter().filter(|instant| !instant.on_road).count();
-        let dict = PyDict::new(py);
-        dict.set_item("progress_m", rollout.progress_m().0 - before_m)?;
-        dict.set_item(
-            "off_road_share",
-            off_road as f64 / instants.len().max(1) as f64,
-        )?;
-        dict.set_item("time_s", rollout.simulation().time_s())?;
-        dict.set_item("end", rollout.end().map(name_of))?;
-        Ok(dict)
+        let progress_m = |rollout: &EngineRollout, ego| rollout.simulation().view(ego).progress_m();
+        let before_m: Vec<f64> = (0..plans.len())
+            .map(|ego| progress_m(&rollout, ego))
+            .collect();
+        let driven: Vec<usize> = (0..plans.len())
+            .filter(|&ego| plans[ego].is_some())
+            .collect();
+        let answer = |plan| Answer {
+            plan,
+            readings: Vec::new(),
+            warm_up: false,
+        };
+        rollout.step_egos(plans.into_iter().map(|plan| plan.map(answer)).collect());
+        let outcome = |ego: usize| {
+            let view = rollout.simulation().view(ego);
+            let step = rollout.episode().ego(ego).steps.last();
+            let instants = step.map_or(&[][..], |step| &step.instants);
+            let off_road = instants.iter().filter(|instant| !instant.on_road).count();
+            let dict = PyDict::new(py);
+            dict.set_item("progress_m", progress_m(&rollout, ego) - before_m[ego])?;
+            dict.set_item(
+                "off_road_share",
+                off_road as f64 / instants.len().max(1) as f64,
+            )?;
+            dict.set_item("time_s", rollout.simulation().time_s())?;
+            dict.set_item("end", view.end().map(name_of))?;
+            Ok((ego, dict))
+        };
+        driven.into_iter().map(outcome).collect()
     }
 }
 
-/// Name of the end in logs.
-fn name_of(end: &EpisodeEnd) -> &'static str {
-    match end {
-        EpisodeEnd::RouteDone => "route_done",
-        EpisodeEnd::Collision { .. } => "collision",
-        EpisodeEnd::Obstacle { .. } => "obstacle",
-        EpisodeEnd::OffRoad => "off_road",
-        EpisodeEnd::OffRoute => "off_route",
-        EpisodeEnd::Story => "story",
-        EpisodeEnd::Time => "time",
-        EpisodeEnd::Planner { .. } => "planner",
-    }
+/// The plan of `points`: float64 [N, 3] of time, x and y.
+fn plan_of(points: &Bound<'_, PyAny>) -> PyResult<Plan> {
+    let points = rows::<3>("points", points)?;
+    let points = points.into_iter().map(|[time_s, x, y]| PlanPoint {
+        time_s,
+        position_m: DVec2::new(x, y),
+    });
+    Plan::new(points.collect()).map_err(value_error)
 }
 
 #[pymethods]
 impl Rollout {
     #[new]
-    #[pyo3(signature = (site, level = "easy", seed = 0, index = 0, *, step_s = None, duration_s = None, name = "python"))]
+    #[pyo3(signature = (site, level = "easy", seed = 0, index = 0, *, step_s = None, duration_s = None, name = "python", egos = None))]
     #[allow(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
@@ -90,8 +125,9 @@ impl Rollout {
         step_s: Option<f64>,
         duration_s: Option<f64>,
         name: &str,
+        egos: Option<usize>,
     ) -> PyResult<Self> {
-        let mut scenario = py.detach(|| site.scenario(level, seed, index))?;
+        let mut scenario = py.detach(|| site.scenario(level, seed, index, egos))?;
         scenario.step_s = step_s.unwrap_or(scenario.step_s);
         scenario.duration_s = duration_s.unwrap_or(scenario.duration_s);
         if !STEP_S.contains(&scenario.step_s)
@@ -118,21 +154,62 @@ impl Rollout {
             localization: false,
             privileged: false,
         };
-        let rollout = EngineRollout::new(
-            &scenario,
-            &site.site,
-            EpisodeMetadata {
-                planner,
-                drawn_by: None,
-                agent_driver: None,
-            },
-        );
-        let inner = Mutex::new(rollout.map_err(|error| of_episode(&error))?);
+        let metadata = EpisodeMetadata {
+            planner,
+            drawn_by: None,
+            agent_driver: None,
+        };
+        let count = scenario.egos.count();
+        let rollout = EngineRollout::with_egos(&scenario, &site.site, vec![metadata; count])
+            .map_err(|error| of_episode(&error))?;
+        let inner = Arc::new(Mutex::new(rollout));
+        let ego = |index| Py::new(py, RolloutEgo::new(inner.clone(), index));
         Ok(Self {
             site: site.site.clone(),
+            egos: (0..count).map(ego).collect::<PyResult<_>>()?,
             inner,
-            shown: Mutex::default(),
         })
+    }
+
+    /// All egos, in the order of the scenario.
+    #[getter]
+    fn egos(&self, py: Python<'_>) -> Vec<Py<RolloutEgo>> {
+        self.egos.iter().map(|ego| ego.clone_ref(py)).collect()
+    }
+
+    /// Drives a step of all egos, along a trajectory for each that has not ended: float64 [N, 3]
+    /// by its name, as ``step_plan`` takes it. What came of the step, by name.
+    fn step<'py>(
+        &self,
+        py: Python<'py>,
+        plans: BTreeMap<String, Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let names: Vec<String> = self.egos.iter().map(|ego| ego.get().name()).collect();
+        let drives: Vec<bool> = self
+            .egos
+            .iter()
+            .map(|ego| ego.get().end().is_none())
+            .collect();
+        let expected: Vec<&str> = names
+            .iter()
+            .zip(&drives)
+            .filter_map(|(name, &drives)| drives.then_some(name.as_str()))
+            .collect();
+        let mut sorted = expected.clone();
+        sorted.sort_unstable();
+        if !plans.keys().eq(sorted) {
+            let found: Vec<&String> = plans.keys().collect();
+            return Err(value_error(format!(
+                "plans: expected one for each ego that has not ended, {expected:?}, found {found:?}"
+            )));
+        }
+        let plan = |name: &String| plans.get(name).map(plan_of).transpose();
+        let plans = names.iter().map(plan).collect::<PyResult<Vec<_>>>()?;
+        let outcomes = PyDict::new(py);
+        for (ego, outcome) in self.driven_together(py, plans)? {
+            outcomes.set_item(&names[ego], outcome)?;
+        }
+        Ok(outcomes)
     }
 
     /// Drives a step with the wheels turned towards steer_rad (left above zero, at most 0.6) and
@@ -146,16 +223,9 @@ impl Rollout {
         steer_rad: f64,
         acceleration_mps2: f64,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let plan = {
-            let rollout = self.lock();
-            let horizon_s = CONTROL_HORIZON_S.max(2.0 * rollout.simulation().scenario().step_s);
-            rollout
-                .simulation()
-                .view(0)
-                .ego()
-                .plan_under(steer_rad, acceleration_mps2, horizon_s)
-                .map_err(value_error)?
-        };
+        let plan = self
+            .first()
+            .plan_of_controls(steer_rad, acceleration_mps2)?;
         self.driven(py, plan)
     }
 
@@ -166,47 +236,26 @@ impl Rollout {
         py: Python<'py>,
         points: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let points = rows::<3>("points", points)?;
-        let points = points.into_iter().map(|[time_s, x, y]| PlanPoint {
-            time_s,
-            position_m: DVec2::new(x, y),
-        });
-        let plan = Plan::new(points.collect()).map_err(value_error)?;
-        self.driven(py, plan)
+        self.driven(py, plan_of(points)?)
     }
 
     /// Puts all agents into a world over the site's scene; world_from_rig of the ego, float64 [4,
     /// 4], meters.
     fn show<'py>(&self, py: Python<'py>, world: &World) -> PyResult<Bound<'py, PyAny>> {
-        let (ego, motion) = self
-            .lock()
-            .show(&mut world.lock())
-            .map_err(|error| of_session(&error))?;
-        *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = motion;
-        to_matrix(py, &ego)
+        self.first().show(py, world)
     }
 
     /// Motion of the ego when show was called last: velocity, m/s along the axes of the world, and
     /// turn, rad/s about those of the vehicle.
     #[getter]
     fn ego_motion(&self) -> MotionTuple {
-        tuple_of(&self.shown.lock().unwrap_or_else(PoisonError::into_inner))
+        self.first().motion()
     }
 
     /// Speed m/s, acceleration m/s2, angle of the wheels rad, yaw rate rad/s: float64 [4].
     #[getter]
     fn ego_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let motion = self.lock().simulation().view(0).motion();
-        shaped(
-            py,
-            vec![
-                motion.speed_mps,
-                motion.acceleration_mps2,
-                motion.steer_rad,
-                motion.yaw_rate_radps,
-            ],
-            &[4],
-        )
+        self.first().state(py)
     }
 
     /// Sizes of boxes: length, width, height, meters, float64 [N + 1, 3]. Row 0 is the ego, row i
@@ -215,9 +264,9 @@ impl Rollout {
     fn sizes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let rollout = self.lock();
         let simulation = rollout.simulation();
-        let agents = simulation.agent_sizes().iter();
+        let agents = simulation.view(0).agent_sizes();
         let values: Vec<f64> = std::iter::once(&simulation.scenario().ego.size)
-            .chain(agents)
+            .chain(&agents)
             .flat_map(|size| [size.length_m, size.width_m, size.height_m])
             .collect();
         let count = values.len() / 3;
@@ -241,14 +290,7 @@ impl Rollout {
     /// length_m, cruise_mps.
     #[getter]
     fn guidance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let guidance = self.lock().simulation().view(0).guidance();
-        let dict = PyDict::new(py);
-        dict.set_item("turn", guidance.turn.name())?;
-        dict.set_item("distance_m", guidance.distance_m)?;
-        dict.set_item("angle_rad", guidance.angle_rad)?;
-        dict.set_item("length_m", guidance.length_m)?;
-        dict.set_item("cruise_mps", guidance.cruise_mps)?;
-        Ok(dict)
+        self.first().guidance(py)
     }
 
     /// Places on the route ahead, in the ego's frame: float64 [points, 2], meters.
@@ -259,34 +301,19 @@ impl Rollout {
         points: usize,
         spacing_m: f64,
     ) -> PyResult<Bound<'py, PyAny>> {
-        if !((1..=4096).contains(&points) && spacing_m > 0.0 && spacing_m.is_finite()) {
-            return Err(value_error(format!(
-                "expected 1 to 4096 points and a spacing above 0, found {points} and {spacing_m}"
-            )));
-        }
-        let rollout = self.lock();
-        let (ego, route) = (
-            rollout.simulation().instant().ego,
-            rollout.simulation().view(0).route(),
-        );
-        let (progress_m, length_m) = rollout.progress_m();
-        let place = |number: usize| {
-            let (at, _) = route.pose_at((progress_m + spacing_m * number as f64).min(length_m));
-            ego.to_local(at.truncate()).to_array()
-        };
-        shaped(py, (1..=points).flat_map(place).collect(), &[points, 2])
+        self.first().route_ahead(py, points, spacing_m)
     }
 
     /// Meters of the route that are behind the ego, and all of them.
     #[getter]
     fn progress_m(&self) -> (f64, f64) {
-        self.lock().progress_m()
+        self.first().progress_m()
     }
 
     /// Reason of the end, if it has ended.
     #[getter]
     fn end(&self) -> Option<&'static str> {
-        self.lock().end().map(name_of)
+        self.first().end()
     }
 
     /// Steps that were driven.
@@ -311,45 +338,25 @@ impl Rollout {
     /// obstacle_collisions, layout_infractions, wrong_ways, red_lights, stop_signs, min_ttc_s,
     /// ttc_short_share.
     fn score<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let score = self.lock().score();
-        to_dict(py, &score)
+        self.first().score(py)
     }
 
     /// Scores beside the driving score so far: all_rules_score, reference_progress, pdm_score,
     /// extended_pdm_score, lane_kept_share, speed_compliance, over_edge_s, on_crossing, blocking,
     /// wrong_turns. None where the map does not tell one.
     fn sub_scores<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let rollout = self.lock();
-        let (episode, score) = (rollout.episode(), rollout.score());
-        let (pdm, conduct) = (
-            PdmScore::new(episode, &score),
-            Conduct::new(episode, &score),
-        );
-        let extended = ExtendedPdmScore::new(episode, &score, &pdm, &conduct.reference);
-        let keeping = conduct.lane_keeping;
-        let dict = PyDict::new(py);
-        dict.set_item("all_rules_score", conduct.all_rules_score)?;
-        dict.set_item("reference_progress", conduct.reference.share)?;
-        dict.set_item("pdm_score", pdm.pdm_score)?;
-        dict.set_item("extended_pdm_score", extended.score)?;
-        dict.set_item("lane_kept_share", keeping.map(|one| one.kept_share()))?;
-        dict.set_item("over_edge_s", keeping.map(|one| one.over_edge_s))?;
-        dict.set_item("speed_compliance", score.speed_compliance)?;
-        dict.set_item("on_crossing", conduct.count(ConductKind::OnCrossing))?;
-        dict.set_item("blocking", conduct.count(ConductKind::Blocking))?;
-        dict.set_item("wrong_turns", conduct.count(ConductKind::WrongTurn))?;
-        Ok(dict)
+        self.first().sub_scores(py)
     }
 
     /// Writes its log, which ``decouplegs replay`` and ``decouplegs score`` read.
     fn write_log(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let episode = self.lock().episode().clone();
         let written = py.detach(|| {
-            let mut log = EpisodeLog::create(&path, &episode.head, &episode.start)?;
-            episode.steps.iter().try_for_each(|step| log.append(step))?;
-            log.finish(&episode.end)
+            let bytes = encode(&episode).map_err(|error| sentence(&error))?;
+            let written = write_atomically(&path, |file| file.write_all(&bytes));
+            written.map_err(|error| sentence(&error))
         });
-        written.map_err(|error| FileError::new_err(sentence(&error)))
+        written.map_err(FileError::new_err)
     }
 
     fn __repr__(&self) -> String {
@@ -361,21 +368,4 @@ impl Rollout {
             rollout.simulation().scenario().name
         )
     }
-}
-
-fn to_dict<'py>(py: Python<'py>, score: &EpisodeScore) -> PyResult<Bound<'py, PyDict>> {
-    let dict = PyDict::new(py);
-    dict.set_item("driving_score", score.driving_score)?;
-    dict.set_item("route_completion", score.route_completion)?;
-    dict.set_item("success", score.success)?;
-    dict.set_item("collisions", score.collisions())?;
-    dict.set_item("pedestrian_collisions", score.pedestrian_collisions())?;
-    dict.set_item("obstacle_collisions", score.obstacle_collisions())?;
-    dict.set_item("layout_infractions", score.layout_infractions())?;
-    dict.set_item("wrong_ways", score.wrong_ways())?;
-    dict.set_item("red_lights", score.red_lights())?;
-    dict.set_item("stop_signs", score.stop_signs())?;
-    dict.set_item("min_ttc_s", score.min_ttc_s())?;
-    dict.set_item("ttc_short_share", score.ttc_short_share)?;
-    Ok(dict)
 }

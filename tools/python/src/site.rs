@@ -7,7 +7,7 @@ use decouplegs::drive::generate::{Generator, PlaceOptions};
 use decouplegs::episode::{Appearance, Site as EngineSite};
 use decouplegs::logs::read_scenario;
 use decouplegs::scene::scenario::Place;
-use decouplegs::scene::{Level, Scenario, Weather};
+use decouplegs::scene::{Egos, Level, Scenario, Weather};
 use decouplegs::session::Scene as EngineScene;
 use pyo3::prelude::*;
 
@@ -31,10 +31,30 @@ pub struct Site {
 }
 
 impl Site {
-    /// Scenario `index` of `level`, in this place.
-    pub fn scenario(&self, level: &str, seed: u64, index: u32) -> PyResult<Scenario> {
+    /// Scenario `index` of `level`, in this place, with `egos` egos: one where it is not given. A
+    /// scenario file has its own.
+    pub fn scenario(
+        &self,
+        level: &str,
+        seed: u64,
+        index: u32,
+        egos: Option<usize>,
+    ) -> PyResult<Scenario> {
         if let Some(scenario) = &self.scenario {
+            let count = scenario.egos.count();
+            if egos.is_some_and(|egos| egos != count) {
+                return Err(value_error(format!(
+                    "egos: the scenario file has {count}, which cannot be changed here"
+                )));
+            }
             return Ok(scenario.clone());
+        }
+        let egos = egos.unwrap_or(1);
+        if !(1..=Egos::MAX).contains(&egos) {
+            return Err(value_error(format!(
+                "egos: expected 1 to {}, found {egos}",
+                Egos::MAX
+            )));
         }
         let expected = || {
             value_error(format!(
@@ -59,8 +79,13 @@ impl Site {
             seed: street,
         };
         let generator = Generator::new(&self.site.lanes, options, &self.site.asset_sizes);
-        let made = generator.and_then(|generator| generator.scenario(level, seed, index));
+        let generator = generator.map_err(|error| value_error(sentence(&error)))?;
+        let made = generator.scenario(level, seed, index);
         let scenario = made.map_err(|error| value_error(sentence(&error)))?;
+        let scenario = match egos {
+            1 => scenario,
+            _ => generator.with_egos(&scenario, egos).map_err(value_error)?,
+        };
         // The light is that of the place, which is there already, and not the level's.
         Ok(Scenario {
             place: self.place.clone(),
